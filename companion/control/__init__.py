@@ -1,0 +1,1 @@
+"""Roles: what the vehicle should do next."""

@@ -1,0 +1,1 @@
+"""The leader: waypoints, RRT local path, potential field along it."""

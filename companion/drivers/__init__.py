@@ -1,0 +1,1 @@
+"""Edges to hardware: Livox LiDAR and PX4 autopilot."""

@@ -1,0 +1,142 @@
+"""Rotations as unit quaternions (w, x, y, z) and matrices, batched over leading axes.
+
+`q_a_b` rotates a vector's coordinates from frame b into frame a. Perturbations are on the right
+(body) side: ``q (+) theta = q * exp(theta)``. Source: J. Sola, "Quaternion kinematics for the
+error-state Kalman filter", 2017, equations 101-103 and 183.
+"""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+FloatArray = NDArray[np.float64]
+
+IDENTITY: FloatArray = np.array([1.0, 0.0, 0.0, 0.0])
+IDENTITY.setflags(write=False)
+_CONJUGATE: FloatArray = np.array([1.0, -1.0, -1.0, -1.0])
+
+
+def normalize(q: ArrayLike) -> FloatArray:
+    """Return `q` (..., 4) scaled to unit norm, with w >= 0.
+
+    Raises:
+        ValueError: if a quaternion has no direction (zero or not finite).
+    """
+    quaternion = np.asarray(q, dtype=np.float64)
+    norm = np.linalg.norm(quaternion, axis=-1, keepdims=True)
+    if not np.all(np.isfinite(norm)) or np.any(norm == 0.0):
+        raise ValueError("a quaternion must be finite and not zero")
+    sign = np.where(quaternion[..., :1] < 0.0, -1.0, 1.0)
+    return np.multiply(quaternion, sign / norm)
+
+
+def multiply(q_a_b: ArrayLike, q_b_c: ArrayLike) -> FloatArray:
+    """Return q_a_c = q_a_b * q_b_c, both (..., 4) and broadcast against each other."""
+    a = np.asarray(q_a_b, dtype=np.float64)
+    b = np.asarray(q_b_c, dtype=np.float64)
+    aw, ax, ay, az = (a[..., i] for i in range(4))
+    bw, bx, by, bz = (b[..., i] for i in range(4))
+    return np.stack(
+        [
+            aw * bw - ax * bx - ay * by - az * bz,
+            aw * bx + ax * bw + ay * bz - az * by,
+            aw * by - ax * bz + ay * bw + az * bx,
+            aw * bz + ax * by - ay * bx + az * bw,
+        ],
+        axis=-1,
+    )
+
+
+def conjugate(q_a_b: ArrayLike) -> FloatArray:
+    """Return q_b_a, the inverse of a unit quaternion (..., 4)."""
+    return np.multiply(np.asarray(q_a_b, dtype=np.float64), _CONJUGATE)
+
+
+def rotate(q_a_b: ArrayLike, v_b: ArrayLike) -> FloatArray:
+    """Return v_a: the vectors v_b (..., 3) expressed in frame a."""
+    q = np.asarray(q_a_b, dtype=np.float64)
+    v = np.asarray(v_b, dtype=np.float64)
+    imaginary = q[..., 1:]
+    twice_cross = 2.0 * np.cross(imaginary, v)
+    return v + q[..., :1] * twice_cross + np.cross(imaginary, twice_cross)
+
+
+def to_matrix(q_a_b: ArrayLike) -> FloatArray:
+    """Return R_a_b (..., 3, 3) of unit quaternions (..., 4)."""
+    q = np.asarray(q_a_b, dtype=np.float64)
+    w, x, y, z = (q[..., i] for i in range(4))
+    rows = [
+        [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
+        [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
+        [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
+    ]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def from_matrix(R_a_b: ArrayLike) -> FloatArray:
+    """Return q_a_b (..., 4) of rotation matrices (..., 3, 3), by the largest of Shepperd's four forms."""
+    R = np.asarray(R_a_b, dtype=np.float64)
+    trace = R[..., 0, 0] + R[..., 1, 1] + R[..., 2, 2]
+    diagonal = np.stack([trace, R[..., 0, 0], R[..., 1, 1], R[..., 2, 2]], axis=-1)
+    x = R[..., 2, 1] - R[..., 1, 2]
+    y = R[..., 0, 2] - R[..., 2, 0]
+    z = R[..., 1, 0] - R[..., 0, 1]
+    xy = R[..., 0, 1] + R[..., 1, 0]
+    xz = R[..., 0, 2] + R[..., 2, 0]
+    yz = R[..., 1, 2] + R[..., 2, 1]
+    squares = 1.0 - trace[..., None] + 2.0 * diagonal
+    squares[..., 0] = 1.0 + trace
+    candidates = np.stack(
+        [
+            np.stack([squares[..., 0], x, y, z], axis=-1),
+            np.stack([x, squares[..., 1], xy, xz], axis=-1),
+            np.stack([y, xy, squares[..., 2], yz], axis=-1),
+            np.stack([z, xz, yz, squares[..., 3]], axis=-1),
+        ],
+        axis=-2,
+    )
+    best = np.argmax(diagonal, axis=-1)
+    return normalize(np.take_along_axis(candidates, best[..., None, None], axis=-2)[..., 0, :])
+
+
+def exp(theta: ArrayLike) -> FloatArray:
+    """Return the quaternions (..., 4) of rotation vectors (..., 3) in radians."""
+    vector = np.asarray(theta, dtype=np.float64)
+    half = 0.5 * np.linalg.norm(vector, axis=-1, keepdims=True)
+    return np.concatenate([np.cos(half), 0.5 * vector * np.sinc(half / np.pi)], axis=-1)
+
+
+def log(q: ArrayLike) -> FloatArray:
+    """Return the shortest rotation vectors (..., 3) in radians of unit quaternions (..., 4)."""
+    quaternion = np.asarray(q, dtype=np.float64)
+    quaternion = np.where(quaternion[..., :1] < 0.0, -quaternion, quaternion)
+    imaginary = quaternion[..., 1:]
+    sine = np.linalg.norm(imaginary, axis=-1, keepdims=True)
+    angle = 2.0 * np.arctan2(sine, quaternion[..., :1])
+    small = sine < 1e-12
+    return imaginary * np.where(small, 2.0, angle / np.where(small, 1.0, sine))
+
+
+def slerp(q_start: ArrayLike, q_end: ArrayLike, fraction: ArrayLike) -> FloatArray:
+    """Interpolate along the shortest arc; `fraction` (...) is 0 at `q_start` and 1 at `q_end`."""
+    start = np.asarray(q_start, dtype=np.float64)
+    step = log(multiply(conjugate(start), q_end))
+    return multiply(start, exp(np.asarray(fraction, dtype=np.float64)[..., None] * step))
+
+
+def from_yaw(yaw: ArrayLike) -> FloatArray:
+    """Return rotations (..., 4) about z by `yaw` (...) radians."""
+    half = 0.5 * np.asarray(yaw, dtype=np.float64)
+    zero = np.zeros_like(half)
+    return np.stack([np.cos(half), zero, zero, np.sin(half)], axis=-1)
+
+
+def yaw_of(q: ArrayLike) -> FloatArray:
+    """Return the heading (...) in radians: the angle of the body's x axis in the parent's xy plane."""
+    quaternion = np.asarray(q, dtype=np.float64)
+    w, x, y, z = (quaternion[..., i] for i in range(4))
+    return np.asarray(np.arctan2(2.0 * (x * y + w * z), 1.0 - 2.0 * (y * y + z * z)))
+
+
+def angle_between(q_a: ArrayLike, q_b: ArrayLike) -> FloatArray:
+    """Return the angle (...) in radians of the rotation that takes one attitude to the other."""
+    return np.asarray(np.linalg.norm(log(multiply(conjugate(q_a), q_b)), axis=-1))

@@ -1,0 +1,1 @@
+"""Flight logs: channels, MCAP files, reports."""

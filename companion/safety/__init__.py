@@ -1,0 +1,1 @@
+"""Limits, checks and the supervisor: the last word on every setpoint."""

@@ -1,0 +1,1 @@
+"""Everything that never flies: worlds, emulators, scenarios."""

@@ -1,0 +1,1 @@
+"""Worlds made of primitives, their generators, and ray casting."""
