@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from companion.geometry import rotation
 from companion.geometry.rotation import FloatArray
 
-_FLIP_YZ = np.array([1.0, -1.0, -1.0])
+_FLIP_YZ: FloatArray = np.array([1.0, -1.0, -1.0])
 _SQRT_HALF = np.sqrt(0.5)
 # Half a turn about the axis between north and east: x and y swap, z changes sign.
 _Q_NED_ENU = np.array([0.0, _SQRT_HALF, _SQRT_HALF, 0.0])

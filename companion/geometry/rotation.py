@@ -26,7 +26,8 @@ def normalize(q: ArrayLike) -> FloatArray:
     if not np.all(np.isfinite(norm)) or np.any(norm == 0.0):
         raise ValueError("a quaternion must be finite and not zero")
     sign = np.where(quaternion[..., :1] < 0.0, -1.0, 1.0)
-    return np.multiply(quaternion, sign / norm)
+    unit: FloatArray = quaternion * (sign / norm)
+    return unit
 
 
 def multiply(q_a_b: ArrayLike, q_b_c: ArrayLike) -> FloatArray:
