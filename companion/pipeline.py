@@ -1,0 +1,285 @@
+"""From sensor events to an approved velocity setpoint: one pure core for flight, emulation and replay.
+
+Events carry their own time; nothing here reads a clock, a socket or a file. `perceive` is the heavy
+half (odometry) and may run in a worker thread; `decide` is the light half and runs where setpoints are
+sent. `handle` does both, for callers without threads.
+"""
+
+from collections.abc import Sequence
+from typing import Protocol
+
+import numpy as np
+
+from companion.clock import seconds_to_ns
+from companion.messages import (
+    Authorisation,
+    ControlEvent,
+    FlightState,
+    ImuSample,
+    LidarScan,
+    ModeRequest,
+    Odometry,
+    OdometryStatus,
+    Output,
+    PerceptionUpdate,
+    PlanUpdate,
+    RegisteredScan,
+    SensorEvent,
+    Setpoint,
+    Severity,
+    StateChange,
+    StatusText,
+    Tick,
+    VehicleMode,
+    VehicleState,
+    VelocityCommand,
+)
+from companion.safety.checks import Checks, Facts
+from companion.safety.limits import VelocityLimiter
+from companion.safety.settings import SafetySettings
+from companion.safety.supervisor import COMMANDING, Supervisor
+
+_STREAM_BEFORE_ENGAGE_NS = seconds_to_ns(0.5)
+_REPEAT_REQUEST_NS = seconds_to_ns(1.0)
+_BRAKE_BEFORE_STOP_NS = seconds_to_ns(1.0)
+
+_SEVERITY = {
+    FlightState.LOST: Severity.CRITICAL,
+    FlightState.HOLDING: Severity.WARNING,
+    FlightState.PILOT: Severity.NOTICE,
+    FlightState.LISTENING: Severity.WARNING,
+}
+
+
+class Estimator(Protocol):
+    """Own motion from sensor events."""
+
+    def handle(self, event: SensorEvent) -> Sequence[PerceptionUpdate]:
+        """Take one event in; return the estimates that became known."""
+        ...
+
+
+class RoleDecision(Protocol):
+    """What a role answers to `Role.decide`."""
+
+    @property
+    def command(self) -> VelocityCommand:
+        """The velocity it wants."""
+        ...
+
+    @property
+    def plan(self) -> PlanUpdate | None:
+        """Its path, when it changed."""
+        ...
+
+    @property
+    def finished(self) -> bool:
+        """Nothing is left to do but to land."""
+        ...
+
+
+class Role(Protocol):
+    """What the vehicle should do: leader or follower."""
+
+    def observe(self, scan: RegisteredScan) -> None:
+        """See the surroundings."""
+        ...
+
+    def decide(self, odometry: Odometry, t_ns: int) -> RoleDecision:
+        """Choose a velocity at host time `t_ns`."""
+        ...
+
+    def reset(self, odometry: Odometry) -> None:
+        """Begin anew from the present pose: control has just been taken."""
+        ...
+
+
+class Pipeline:
+    """Everything between the drivers."""
+
+    def __init__(
+        self,
+        *,
+        estimator: Estimator,
+        role: Role,
+        safety: SafetySettings,
+        authorisation_sources: Sequence[str],
+    ) -> None:
+        """Join the parts of one vehicle; `authorisation_sources` are those the profile permits."""
+        self._estimator = estimator
+        self._role = role
+        self._safety = safety
+        self._sources = frozenset(authorisation_sources)
+        self._supervisor = Supervisor()
+        self._checks = Checks(safety)
+        self._limiter = VelocityLimiter(safety)
+        self._odometry: Odometry | None = None
+        self._vehicle: VehicleState | None = None
+        self._t_scan_ns = 0
+        self._grant: Authorisation | None = None
+        self._revoked = False
+        self._finished = False
+        self._entered_ns = 0
+        self._requested_ns = 0
+        self._mode_at_engaging = VehicleMode.UNKNOWN
+        self._stop_ns: int | None = None
+
+    @property
+    def state(self) -> FlightState:
+        """The supervisor's present state."""
+        return self._supervisor.state
+
+    def handle(self, event: SensorEvent | ControlEvent) -> list[Output]:
+        """Process one event completely; return what should happen, in order."""
+        if isinstance(event, (ImuSample, LidarScan)):
+            outputs: list[Output] = []
+            for update in self.perceive(event):
+                outputs.extend(self.decide(update))
+            return outputs
+        return self.decide(event)
+
+    def perceive(self, event: SensorEvent) -> Sequence[PerceptionUpdate]:
+        """Heavy half: estimate own motion. Never call it from two threads at once."""
+        return self._estimator.handle(event)
+
+    def decide(self, event: ControlEvent) -> list[Output]:
+        """Light half: keep the newest of everything; on a tick, choose and approve a setpoint."""
+        match event:
+            case Odometry():
+                self._odometry = event
+                usable = event.status in (OdometryStatus.TRACKING, OdometryStatus.DEGRADED)
+                return [event] if usable else []
+            case RegisteredScan():
+                self._t_scan_ns = event.t_ns
+                self._role.observe(event)
+                return []
+            case VehicleState():
+                self._vehicle = event
+                return []
+            case Authorisation():
+                return self._authorise(event)
+            case Tick():
+                return self._tick(event.t_ns)
+
+    def request_stop(self, t_ns: int) -> None:
+        """End the flight from outside: brake for a second if in control, then fall silent for good."""
+        if self._stop_ns is None:
+            self._stop_ns = t_ns
+
+    @property
+    def silent(self) -> bool:
+        """No setpoint will be sent in the present state."""
+        return not self._streams()
+
+    def _authorise(self, event: Authorisation) -> list[Output]:
+        if not event.granted:
+            self._revoked = True
+            return []
+        if event.source not in self._sources:
+            return [_text(event.t_ns, Severity.WARNING, f"engage refused: {event.source} not permitted")]
+        refusal = self._supervisor.refusal(self._facts(event.t_ns, authorised=True))
+        if refusal:
+            return [_text(event.t_ns, Severity.WARNING, f"engage refused: {refusal}")]
+        self._grant = event
+        return []
+
+    def _facts(self, t_ns: int, *, authorised: bool) -> Facts:
+        mode = self._vehicle.mode if self._vehicle is not None else VehicleMode.UNKNOWN
+        engaging = self.state is FlightState.ENGAGING
+        in_state_ns = t_ns - self._entered_ns
+        return self._checks.facts(
+            self._odometry,
+            self._vehicle,
+            t_ns,
+            authorised=authorised,
+            revoked=self._revoked,
+            finished=self._finished,
+            engage_timed_out=engaging and in_state_ns > seconds_to_ns(self._safety.engage_timeout_s),
+            mode_left=engaging and mode not in (VehicleMode.OFFBOARD, self._mode_at_engaging),
+            stopping=self._stop_ns is not None and t_ns - self._stop_ns >= _BRAKE_BEFORE_STOP_NS,
+        )
+
+    def _tick(self, t_ns: int) -> list[Output]:
+        switched = (
+            self.state is FlightState.READY
+            and "mode_switch" in self._sources
+            and self._vehicle is not None
+            and self._vehicle.mode is VehicleMode.OFFBOARD
+        )
+        facts = self._facts(t_ns, authorised=self._grant is not None or switched)
+        outputs = self._step(facts, t_ns)
+        self._grant = None
+        self._revoked = False
+        outputs.extend(self._mode_requests(facts, t_ns))
+        if self._streams() and self._odometry is not None:
+            outputs.extend(self._setpoint(self._odometry, facts, t_ns))
+        return outputs
+
+    def _step(self, facts: Facts, t_ns: int) -> list[Output]:
+        previous = self.state
+        transition = self._supervisor.step(facts)
+        if transition is None:
+            return []
+        self._entered_ns = t_ns
+        self._requested_ns = 0
+        current = self.state
+        if current is FlightState.ENGAGING and self._odometry is not None:
+            self._mode_at_engaging = facts.mode
+            self._finished = False
+            self._checks.adopt_map(self._odometry)
+            self._role.reset(self._odometry)
+            self._limiter.restart(np.zeros(3))
+        reason = transition.reason.format(problem=facts.problem)
+        change = StateChange(t_ns, previous, current, reason)
+        text = _text(t_ns, _SEVERITY.get(current, Severity.INFO), f"{current.value}: {reason}")
+        return [change, text]
+
+    def _streams(self) -> bool:
+        in_offboard = self._vehicle is not None and self._vehicle.mode is VehicleMode.OFFBOARD
+        match self.state:
+            case FlightState.READY:
+                return "mode_switch" in self._sources
+            case FlightState.LANDING:
+                return in_offboard
+            case state:
+                return state in COMMANDING
+
+    def _mode_requests(self, facts: Facts, t_ns: int) -> list[Output]:
+        wanted: VehicleMode | None = None
+        if self.state is FlightState.ENGAGING and t_ns - self._entered_ns >= _STREAM_BEFORE_ENGAGE_NS:
+            wanted = VehicleMode.OFFBOARD
+        elif self.state is FlightState.LANDING:
+            wanted = VehicleMode.LAND
+        if wanted is None or facts.mode is wanted or t_ns - self._requested_ns < _REPEAT_REQUEST_NS:
+            return []
+        self._requested_ns = t_ns
+        return [ModeRequest(t_ns, wanted)]
+
+    def _setpoint(self, odometry: Odometry, facts: Facts, t_ns: int) -> list[Output]:
+        outputs: list[Output] = []
+        v_wanted_map, yaw_rate, reason = np.zeros(3), 0.0, f"hold: {self.state.value}"
+        if self.state is FlightState.ACTIVE and facts.odometry_usable and self._stop_ns is None:
+            decision = self._role.decide(odometry, t_ns)
+            v_wanted_map, yaw_rate = decision.command.v_map, decision.command.yaw_rate
+            reason = "role"
+            if decision.plan is not None:
+                outputs.append(decision.plan)
+            self._finished = self._finished or decision.finished
+        v_map = self._limiter.limit(v_wanted_map, float(odometry.p_map[2]), t_ns)
+        # Braking rests on the decision to brake, not on old sensor data: its data are as new as the tick.
+        t_data_ns = odometry.t_ns if reason == "role" else t_ns
+        outputs.append(
+            Setpoint(
+                t_ns=t_ns,
+                t_data_ns=t_data_ns,
+                t_scan_ns=self._t_scan_ns,
+                v_map=v_map,
+                yaw_rate=self._limiter.limit_yaw_rate(yaw_rate),
+                reason=reason,
+            )
+        )
+        return outputs
+
+
+def _text(t_ns: int, severity: Severity, text: str) -> StatusText:
+    return StatusText(t_ns, severity, text)

@@ -1,0 +1,143 @@
+"""Predicates: what is true of the vehicle, the link and the odometry right now."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from companion.clock import seconds_to_ns
+from companion.geometry import rotation
+from companion.messages import LandedState, Odometry, OdometryStatus, VehicleMode, VehicleState
+from companion.safety.settings import SafetySettings
+
+_MAX_LOCAL_AGE_NS = seconds_to_ns(2.0)
+_DISAGREEMENT_NS = seconds_to_ns(0.5)
+_NEVER_NS = -seconds_to_ns(3600.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Facts:
+    """Everything that a state transition may depend on, as plain truths."""
+
+    link: bool
+    armed: bool
+    airborne: bool
+    mode: VehicleMode
+    failsafe: bool
+    odometry_usable: bool
+    odometry_lost: bool
+    map_jumped: bool
+    estimates_agree: bool
+    authorised: bool
+    revoked: bool
+    finished: bool
+    engage_timed_out: bool
+    mode_left: bool
+    """The autopilot is neither in OFFBOARD nor in the mode from which engaging began."""
+    stopping: bool
+    problem: str
+    """Why the odometry or the link is not usable; empty when both are."""
+
+    @property
+    def healthy(self) -> bool:
+        """Control may rest on the present data."""
+        return self.link and self.odometry_usable and self.estimates_agree
+
+    @property
+    def on_ground(self) -> bool:
+        """The vehicle is disarmed and not flying."""
+        return not self.armed and not self.airborne
+
+
+class Checks:
+    """Watches the newest odometry and vehicle state; turns them into facts at each tick."""
+
+    def __init__(self, settings: SafetySettings) -> None:
+        """Begin with nothing known."""
+        self._settings = settings
+        self._usable_since_ns = _NEVER_NS
+        self._agreed_ns = _NEVER_NS
+        self._map_counter: int | None = None
+
+    def adopt_map(self, odometry: Odometry) -> None:
+        """Take the present map frame as the one that the coming flight refers to."""
+        self._map_counter = odometry.reset_counter
+
+    def odometry_problem(self, odometry: Odometry | None, t_ns: int) -> str:
+        """Return why the odometry must not move the vehicle, or an empty string."""
+        if odometry is None:
+            return "no odometry yet"
+        age_ns = t_ns - odometry.t_ns
+        if age_ns > self._settings.max_data_age_ms * 1e6:
+            return f"odometry is {age_ns / 1e6:.0f} ms old"
+        if odometry.status in (OdometryStatus.INITIALISING, OdometryStatus.LOST):
+            return f"odometry {odometry.status.name.lower()}: {odometry.reason or 'not ready'}"
+        if odometry.quality < self._settings.min_quality:
+            return f"odometry quality {odometry.quality}: {odometry.reason or 'low'}"
+        finite = np.isfinite(odometry.p_map).all() and np.isfinite(odometry.v_map).all()
+        return "" if finite else "odometry is not finite"
+
+    def disagreement(self, odometry: Odometry, vehicle: VehicleState) -> str:
+        """Return how our estimate and the autopilot's differ beyond the limits, or an empty string."""
+        heading = abs(
+            math.remainder(
+                float(rotation.yaw_of(vehicle.q_map_body) - rotation.yaw_of(odometry.q_map_body)),
+                math.tau,
+            )
+        )
+        if not heading <= math.radians(self._settings.max_heading_disagreement_deg):
+            return f"PX4's heading differs by {math.degrees(heading):.0f} deg"
+        speed = float(np.linalg.norm(vehicle.v_map - odometry.v_map))
+        if not speed <= self._settings.max_velocity_disagreement_mps:
+            return f"PX4's velocity differs by {speed:.1f} m/s"
+        return ""
+
+    def facts(
+        self,
+        odometry: Odometry | None,
+        vehicle: VehicleState | None,
+        t_ns: int,
+        *,
+        authorised: bool,
+        revoked: bool,
+        finished: bool,
+        engage_timed_out: bool,
+        mode_left: bool,
+        stopping: bool,
+    ) -> Facts:
+        """Summarise the situation at `t_ns`; the keyword arguments are passed on as they are."""
+        link = vehicle is not None and vehicle.connected and t_ns - vehicle.t_local_ns < _MAX_LOCAL_AGE_NS
+        odometry_problem = self.odometry_problem(odometry, t_ns)
+        if not odometry_problem:
+            self._usable_since_ns = t_ns
+        difference = ""
+        if odometry is not None and vehicle is not None and link and not odometry_problem:
+            difference = self.disagreement(odometry, vehicle)
+        if not difference:
+            self._agreed_ns = t_ns
+        agree = t_ns - self._agreed_ns < _DISAGREEMENT_NS
+        jumped = (
+            odometry is not None
+            and self._map_counter is not None
+            and odometry.reset_counter != self._map_counter
+        )
+        problem = odometry_problem or ("" if link else "no link to the autopilot") or difference
+        return Facts(
+            link=link,
+            armed=vehicle is not None and vehicle.armed,
+            airborne=vehicle is not None
+            and vehicle.landed in (LandedState.IN_AIR, LandedState.TAKING_OFF, LandedState.LANDING),
+            mode=vehicle.mode if vehicle is not None else VehicleMode.UNKNOWN,
+            failsafe=vehicle is not None and vehicle.failsafe,
+            odometry_usable=not odometry_problem,
+            odometry_lost=t_ns - self._usable_since_ns > self._settings.lost_after_ms * 1e6,
+            map_jumped=jumped,
+            estimates_agree=agree,
+            authorised=authorised,
+            revoked=revoked,
+            finished=finished,
+            engage_timed_out=engage_timed_out,
+            mode_left=mode_left,
+            stopping=stopping,
+            problem=problem,
+        )
