@@ -1,0 +1,212 @@
+"""The present local path: when to search anew, when to keep the old one, where on it the vehicle is."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from companion.clock import seconds_to_ns
+from companion.control.leader import rrt_kernels
+from companion.control.leader.obstacle_map import ClearanceField
+from companion.control.leader.rrt import LocalPath, RrtPlanner, SearchStatus
+from companion.control.leader.settings import RrtSettings
+from companion.messages import FloatArray
+
+_CLEARANCE_SLACK_M = 0.15
+_BACKWARD_M = 0.5
+_FORWARD_M = 3.0
+_NEARLY_OVER_M = 1.0
+_TRAIL_SPACING_M = 1.0
+_TRAIL_POINTS = 256
+_PROGRESS_M = 1.0
+_LEAST_LOOK_AHEAD_M = 0.4
+
+
+class Route:
+    """Holds the leader's local path and replaces it for a reason only."""
+
+    def __init__(self, settings: RrtSettings, vehicle_radius_m: float, rng: np.random.Generator) -> None:
+        self._settings = settings
+        self._planner = RrtPlanner(settings, vehicle_radius_m, rng)
+        self.path: LocalPath | None = None
+        """The path being followed, None without one."""
+        self.status = ""
+        """Outcome of the last search: "planned", "kept" or "no path"; empty before the first."""
+        self.goal = np.full(2, np.nan)
+        """Where to stop for the waypoint, (2,) m."""
+        self.nodes = 0
+        """Size of the trees of the last search."""
+        self.reset()
+
+    def reset(self) -> None:
+        """Drop the path."""
+        self.path = None
+        self.status = ""
+        self.nodes = 0
+        self._waypoint = np.full(2, np.nan)
+        self._s = 0.0
+        self._searched_ns: int | None = None
+        self._field: ClearanceField | None = None
+        self._blocked = False
+        self._trail = np.zeros((0, 2))
+        self._least_distance = math.inf
+
+    def update(self, field: ClearanceField, p: FloatArray, waypoint: FloatArray, t_ns: int) -> bool:
+        """Follow the vehicle along the path and search anew when due.
+
+        Args:
+            field: what the map knows.
+            p: (2,) position of the vehicle in the map, m.
+            waypoint: (2,) horizontal position of the waypoint, m.
+            t_ns: host time.
+
+        Returns:
+            Whether a search was made.
+        """
+        cross_track = self._locate(p)
+        if field is not self._field:
+            self._field = field
+            self._blocked = not self._is_free(field, self._settings.blocked_horizon_m)
+        if np.array_equal(waypoint, self._waypoint):
+            if not self._is_due(t_ns, cross_track):
+                return False
+        else:
+            self._waypoint = waypoint.copy()
+            self._trail = np.zeros((0, 2))
+            self._least_distance = math.inf
+            self.path = None
+        self._searched_ns = t_ns
+        self._note_progress(p)
+        self.goal = self._planner.reachable_goal(field, p, waypoint)
+        local_goal = self._planner.local_goal(field, p, self.goal)
+        found = self._planner.search(field, p, local_goal, self._trail)
+        self.nodes = found.nodes
+        kept = self._kept(field, found, cross_track)
+        if kept is not None:
+            self._adopt(kept, "kept", p)
+        elif found.status is SearchStatus.NO_PATH:
+            self.path = None
+            self.status = "no path"
+        else:
+            self._adopt(found, "planned", p)
+        self._blocked = False
+        return True
+
+    def ahead(self, field: ClearanceField, p: FloatArray, look_ahead: float) -> FloatArray:
+        """Return the point of the path to head for, (2,): `look_ahead` metres on, nearer in tight bends.
+
+        The straight line to it keeps the path's clearance, so no corner is cut.
+        """
+        path = self._present()
+        room = rrt_kernels.clearance_at(
+            field.distance, field.corner_map[0], field.corner_map[1], field.cell_m, p[0], p[1]
+        )
+        ends = np.array([[p[0], p[1], room - _CLEARANCE_SLACK_M], path.ends[1]])
+        while True:
+            point = np.array(rrt_kernels.point_at(path.points, self._s + look_ahead))
+            if look_ahead <= _LEAST_LOOK_AHEAD_M or rrt_kernels.segment_free(
+                field.distance, field.corner_map[0], field.corner_map[1], field.cell_m, p[0], p[1],
+                point[0], point[1], path.clearance - _CLEARANCE_SLACK_M, ends,
+            ):  # fmt: skip
+                return point
+            look_ahead = max(0.75 * look_ahead, _LEAST_LOOK_AHEAD_M)
+
+    def beyond(self, distance: float) -> FloatArray:
+        """Return the point of the path `distance` metres farther on than the vehicle, (2,)."""
+        return np.array(rrt_kernels.point_at(self._present().points, self._s + distance))
+
+    def remaining(self, p: FloatArray) -> FloatArray:
+        """Return the path still to be flown as a polyline (n, 2) from the vehicle at `p`, (0, 2) without."""
+        if self.path is None:
+            return np.zeros((0, 2))
+        return np.concatenate([p[None, :], self._rest(self.path.points)[1:]])
+
+    def _present(self) -> LocalPath:
+        if self.path is None:
+            raise ValueError("there is no path to follow")
+        return self.path
+
+    def _locate(self, p: FloatArray) -> float:
+        if self.path is None:
+            return 0.0
+        self._s, cross_track, _ = rrt_kernels.locate(
+            self.path.points, p[0], p[1], self._s - _BACKWARD_M, self._s + _FORWARD_M
+        )
+        return cross_track
+
+    def _is_due(self, t_ns: int, cross_track: float) -> bool:
+        if self._searched_ns is None:
+            return True
+        settings = self._settings
+        wrong = self.path is None or self._blocked or cross_track > settings.max_cross_track_m
+        period = settings.retry_period_s if wrong else settings.replan_period_s
+        return t_ns - self._searched_ns >= seconds_to_ns(period)
+
+    def _adopt(self, path: LocalPath, status: str, p: FloatArray) -> None:
+        self.path = path
+        self.status = status
+        self._s = 0.0
+        self._locate(p)
+
+    def _kept(self, field: ClearanceField, found: LocalPath, cross_track: float) -> LocalPath | None:
+        """Return the present path, continued to the new local goal, if it is worth keeping."""
+        path = self.path
+        if path is None or cross_track > self._settings.max_cross_track_m:
+            return None
+        if not self._is_free(field, math.inf):
+            return None
+        rest = self._rest(path.points)
+        if found.status is not SearchStatus.REACHED:
+            return replace(path, points=rest) if _length(rest) > _NEARLY_OVER_M else None
+        if path.status is not SearchStatus.REACHED or path.clearance < found.clearance:
+            return None
+        goal = found.points[-1]
+        ends = np.stack([path.ends[0], found.ends[1]])
+        candidate = np.concatenate([rest, goal[None, :]])
+        # The old end need not be visited when the new goal can be seen from the point before it.
+        if rest.shape[0] >= 2 and self._segment_free(field, rest[-2], goal, path.clearance, ends):
+            candidate = np.concatenate([rest[:-1], goal[None, :]])
+        elif not self._segment_free(field, rest[-1], goal, path.clearance, ends):
+            return None
+        if _length(candidate) > self._settings.keep_ratio * _length(found.points):
+            return None
+        return replace(path, points=candidate, ends=ends)
+
+    def _rest(self, points: FloatArray) -> FloatArray:
+        """Return the part of the path past the vehicle's nearest point, that point first."""
+        start = np.array(rrt_kernels.point_at(points, self._s))
+        reached = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
+        later = points[reached > self._s + 1e-6]
+        return np.concatenate([start[None, :], later])
+
+    def _is_free(self, field: ClearanceField, horizon: float) -> bool:
+        path = self.path
+        if path is None:
+            return True
+        s_to = min(self._s + horizon, _length(path.points))
+        walked = rrt_kernels.free_length(
+            field.distance, field.corner_map[0], field.corner_map[1], field.cell_m,
+            path.clearance - _CLEARANCE_SLACK_M, path.ends, path.points, self._s, s_to,
+        )  # fmt: skip
+        return walked >= s_to - self._s - 1e-6
+
+    def _segment_free(
+        self, field: ClearanceField, a: FloatArray, b: FloatArray, clearance: float, ends: FloatArray
+    ) -> bool:
+        return rrt_kernels.segment_free(
+            field.distance, field.corner_map[0], field.corner_map[1], field.cell_m, a[0], a[1], b[0], b[1],
+            clearance - _CLEARANCE_SLACK_M, ends,
+        )  # fmt: skip
+
+    def _note_progress(self, p: FloatArray) -> None:
+        """Remember where the vehicle has been since it last came nearer to the waypoint."""
+        distance = float(np.hypot(*(self._waypoint - p)))
+        if distance < self._least_distance - _PROGRESS_M:
+            self._least_distance = distance
+            self._trail = np.zeros((0, 2))
+        if self._trail.shape[0] == 0 or np.hypot(*(self._trail[-1] - p)) > _TRAIL_SPACING_M:
+            self._trail = np.concatenate([self._trail[-_TRAIL_POINTS + 1 :], p[None, :]])
+
+
+def _length(points: FloatArray) -> float:
+    return float(np.hypot(*np.diff(points, axis=0).T).sum())

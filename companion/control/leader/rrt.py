@@ -1,0 +1,200 @@
+"""Local path search: a rapidly-exploring random tree in the plane of flight.
+
+Source: S. LaValle, "Rapidly-exploring random trees: a new tool for path planning", 1998.
+"""
+
+import math
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from companion.control.leader import rrt_kernels
+from companion.control.leader.obstacle_map import ClearanceField
+from companion.control.leader.settings import RrtSettings
+from companion.messages import FloatArray
+
+_GRANTED_SLACK_M = 0.05
+_SAMPLES_PER_NODE = 2
+_CIRCLE_STEP = math.radians(5.0)
+_STAND_IN_STEP_M = 0.2
+_STAND_IN_ROOM_M = 0.2
+_DETOUR_SHARE = 0.6
+_BEEN_THERE_M = 2.5
+_BEEN_THERE_COST_M = 10.0
+
+
+class SearchStatus(Enum):
+    """What a search came to."""
+
+    REACHED = "reached"
+    DETOUR = "detour"
+    NO_PATH = "no path"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LocalPath:
+    """Outcome of one search.
+
+    Attributes:
+        status: whether the path ends at the goal, at another place from which to go on, or is none.
+        points: (n, 2) polyline in the map from the start, m; (0, 2) without path.
+        clearance: room that it keeps between the vehicle's centre and obstacles, m.
+        ends: (2, 3) first and last point with the clearance found there, which may be less.
+        nodes: size of the trees grown for it.
+    """
+
+    status: SearchStatus
+    points: FloatArray
+    clearance: float
+    ends: FloatArray
+    nodes: int
+
+
+class RrtPlanner:
+    """Finds local paths; equal generators and inputs give equal paths."""
+
+    def __init__(self, settings: RrtSettings, vehicle_radius_m: float, rng: np.random.Generator) -> None:
+        self._settings = settings
+        self._rng = rng
+        self.clearances = [vehicle_radius_m + settings.margin_m * share for share in settings.relaxations]
+        """Clearances tried one after the other, m."""
+
+    @property
+    def least_clearance(self) -> float:
+        """The clearance below which no place is considered, m."""
+        return min(self.clearances)
+
+    def reachable_goal(self, field: ClearanceField, start: FloatArray, waypoint: FloatArray) -> FloatArray:
+        """Return where to stop for a waypoint: itself, or the nearest free point if it lies in an obstacle.
+
+        A waypoint farther than the local radius, or without any free point near it, is returned as is.
+        """
+        settings = self._settings
+        away = float(np.hypot(*(waypoint - start)))
+        if away > settings.local_radius_m or _room(field, waypoint) >= self.least_clearance:
+            return waypoint
+        wanted = self.least_clearance + _STAND_IN_ROOM_M
+        for ring in range(1, math.floor(settings.stand_in_distance_m / _STAND_IN_STEP_M) + 1):
+            radius = ring * _STAND_IN_STEP_M
+            angles = np.arange(0.0, 2.0 * np.pi, min(0.5, _STAND_IN_STEP_M / radius))
+            around = waypoint + radius * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+            free = [point for point in around if _room(field, point) >= wanted]
+            if free:
+                distances = [float(np.hypot(*(point - start))) for point in free]
+                return np.asarray(free[int(np.argmin(distances))])
+        return waypoint
+
+    def local_goal(self, field: ClearanceField, start: FloatArray, goal: FloatArray) -> FloatArray:
+        """Return the goal if it is near, else the free point of the local circle nearest to its direction."""
+        radius = self._settings.local_radius_m
+        offset = goal - start
+        if float(np.hypot(*offset)) <= radius:
+            return goal
+        bearing = math.atan2(offset[1], offset[0])
+        for wanted in (self.clearances[0], self.least_clearance):
+            for index in range(37):
+                turn = (index + 1) // 2 * _CIRCLE_STEP * (1.0 if index % 2 else -1.0)
+                angle = bearing + turn
+                point = start + radius * np.array([math.cos(angle), math.sin(angle)])
+                if _room(field, point) >= wanted:
+                    return point
+        return start + radius * np.array([math.cos(bearing), math.sin(bearing)])
+
+    def search(
+        self, field: ClearanceField, start: FloatArray, goal: FloatArray, visited: FloatArray
+    ) -> LocalPath:
+        """Find a path to a local goal, with ever less clearance if need be.
+
+        Args:
+            field: distances to obstacles.
+            start: (2,) where the vehicle is, m.
+            goal: (2,) local goal, m.
+            visited: (k, 2) where the vehicle has been in vain: detours elsewhere are preferred.
+
+        Returns:
+            A path to the goal; if none is found a path to the best place reached; or no path.
+        """
+        nodes = 0
+        detour: LocalPath | None = None
+        for clearance in self.clearances:
+            ends = np.array([[*start, self._granted(field, start)], [*goal, self._granted(field, goal)]])
+            if _free(field, start, goal, clearance, ends):
+                points = np.stack([start, goal])
+                return LocalPath(SearchStatus.REACHED, points, clearance, ends, nodes)
+            tree, parents, reached = self._tree(field, clearance, ends)
+            nodes += tree.shape[0]
+            if reached >= 0:
+                points = self._shortened(field, _branch(tree, parents, reached), clearance, ends)
+                return LocalPath(SearchStatus.REACHED, points, clearance, ends, nodes)
+            if detour is None:
+                leaf = self._best_leaf(tree, goal, visited)
+                if leaf > 0:
+                    ends[1] = [*tree[leaf], clearance]
+                    points = self._shortened(field, _branch(tree, parents, leaf), clearance, ends)
+                    detour = LocalPath(SearchStatus.DETOUR, points, clearance, ends, nodes)
+        if detour is not None:
+            return detour
+        return LocalPath(SearchStatus.NO_PATH, np.zeros((0, 2)), 0.0, np.zeros((2, 3)), nodes)
+
+    def _granted(self, field: ClearanceField, point: FloatArray) -> float:
+        return _room(field, point) - _GRANTED_SLACK_M
+
+    def _tree(
+        self, field: ClearanceField, clearance: float, ends: FloatArray
+    ) -> tuple[FloatArray, np.ndarray[tuple[int], np.dtype[np.int64]], int]:
+        settings = self._settings
+        nodes = np.zeros((settings.max_nodes, 2))
+        parents = np.zeros(settings.max_nodes, np.int64)
+        samples = self._rng.random((_SAMPLES_PER_NODE * settings.max_nodes, 3))
+        count, reached = rrt_kernels.grow_tree(
+            field.distance, field.corner_map[0], field.corner_map[1], field.cell_m, clearance, ends, samples,
+            settings.local_radius_m + settings.sample_margin_m, settings.goal_bias, settings.step_m,
+            nodes, parents,
+        )  # fmt: skip
+        return nodes[:count], parents[:count], reached
+
+    def _best_leaf(self, tree: FloatArray, goal: FloatArray, visited: FloatArray) -> int:
+        """Return the node well away from the start that is best to go on from, 0 if there is none."""
+        away = np.hypot(*(tree - tree[0]).T)
+        cost = np.hypot(*(tree - goal).T)
+        if visited.shape[0]:
+            gaps = np.hypot(*(tree[:, None, :] - visited[None, :, :]).transpose(2, 0, 1)).min(axis=1)
+            cost = cost + np.where(gaps < _BEEN_THERE_M, _BEEN_THERE_COST_M, 0.0)
+        cost[away < _DETOUR_SHARE * self._settings.local_radius_m] = np.inf
+        best = int(np.argmin(cost))
+        return best if np.isfinite(cost[best]) else 0
+
+    def _shortened(
+        self, field: ClearanceField, path: FloatArray, clearance: float, ends: FloatArray
+    ) -> FloatArray:
+        picks = self._rng.random((self._settings.shortcuts, 2))
+        rows = np.zeros((path.shape[0] + 2 * picks.shape[0], 2))
+        rows[: path.shape[0]] = path
+        count = rrt_kernels.cut_corners(
+            field.distance, field.corner_map[0], field.corner_map[1], field.cell_m, clearance, ends, picks,
+            rows, path.shape[0],
+        )  # fmt: skip
+        return rows[:count].copy()
+
+
+def _branch(tree: FloatArray, parents: np.ndarray[tuple[int], np.dtype[np.int64]], leaf: int) -> FloatArray:
+    order = [leaf]
+    while parents[order[-1]] >= 0:
+        order.append(int(parents[order[-1]]))
+    return tree[order[::-1]].copy()
+
+
+def _room(field: ClearanceField, point: FloatArray) -> float:
+    return rrt_kernels.clearance_at(
+        field.distance, field.corner_map[0], field.corner_map[1], field.cell_m, point[0], point[1]
+    )
+
+
+def _free(
+    field: ClearanceField, start: FloatArray, end: FloatArray, clearance: float, ends: FloatArray
+) -> bool:
+    return rrt_kernels.segment_free(
+        field.distance, field.corner_map[0], field.corner_map[1], field.cell_m, start[0], start[1],
+        end[0], end[1], clearance, ends,
+    )  # fmt: skip
