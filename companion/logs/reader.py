@@ -1,0 +1,167 @@
+"""Reads a recorded flight, finished or not, one message at a time."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from companion.logs import metadata as flight_metadata
+from companion.logs.channels import BY_TOPIC, JOURNAL, Channel
+from companion.logs.codec import codec_of
+from companion.logs.container_reader import (
+    ContainerReader,
+    RawAttachment,
+    RawMessage,
+    RawMetadata,
+)
+from companion.logs.log_queue import LogEntry
+
+
+@dataclass(frozen=True, slots=True)
+class Integrity:
+    """How much of a recording could be read.
+
+    Attributes:
+        complete: the log was closed properly and everything in it could be read.
+        messages: by topic, how many messages the file holds.
+        missing: by topic, how many messages were never written although the flight produced them.
+        undecodable: messages that are not what their channel promises.
+        unknown: messages on channels that are not known here.
+        bytes_total, bytes_lost: size of the file and what of it could not be used.
+        start_ns, end_ns: times of the first and the last message, 0 if there is none.
+    """
+
+    complete: bool
+    messages: dict[str, int]
+    missing: dict[str, int]
+    undecodable: int
+    unknown: int
+    bytes_total: int
+    bytes_lost: int
+    start_ns: int
+    end_ns: int
+
+
+class FlightRecording:
+    """One recorded flight.
+
+    Attributes:
+        flight: vehicle, role, mode, seed, git_commit, as texts; what is unknown is left out.
+        versions: names and versions of the software that flew.
+        configuration: the configuration as it was, YAML or JSON text.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Open a recording and read what it says about the whole flight.
+
+        Raises:
+            LogError: if there is no such file or it is no flight log.
+        """
+        self._path = path
+        self.flight: dict[str, str] = {}
+        self.versions: dict[str, str] = {}
+        self.configuration = ""
+        self._integrity: Integrity | None = None
+        for item in ContainerReader(path).items():
+            if isinstance(item, RawMessage):
+                break
+            if isinstance(item, RawMetadata):
+                self._take_table(item)
+            elif item.name == flight_metadata.CONFIGURATION:
+                self._take_configuration(item)
+
+    def messages(self, *wanted: Channel) -> Iterator[LogEntry]:
+        """Yield messages in the order of the log, of the `wanted` channels or of all.
+
+        Messages that cannot be decoded are counted and left out: see `integrity`.
+
+        Raises:
+            LogError: if reading the disk fails.
+        """
+        topics = {channel.topic for channel in wanted or BY_TOPIC.values()}
+        tally = _Tally()
+        reader = ContainerReader(self._path)
+        decoders: dict[str, tuple[Channel, Callable[[bytes], object]] | None] = {}
+        for item in reader.items():
+            if not isinstance(item, RawMessage):
+                continue
+            topic = item.channel.topic
+            if topic not in decoders:
+                decoders[topic] = _decoder(item)
+            decoder = decoders[topic]
+            tally.count(item, known=decoder is not None)
+            if decoder is None or topic not in topics:
+                continue
+            channel, decode = decoder
+            try:
+                message = decode(item.data)
+            except ValueError:
+                tally.undecodable += 1
+                continue
+            yield LogEntry(channel, item.t_ns, item.sequence, message)
+        self._integrity = tally.integrity(reader)
+
+    def control_events(self) -> Iterator[LogEntry]:
+        """Yield the control events in the order in which they were handled."""
+        return self.messages(*JOURNAL)
+
+    def integrity(self) -> Integrity:
+        """Return how much of the log could be read, as found by the last complete pass."""
+        if self._integrity is None:
+            for _ in self.messages():
+                pass
+        assert self._integrity is not None
+        return self._integrity
+
+    def _take_table(self, item: RawMetadata) -> None:
+        if item.name == flight_metadata.FLIGHT:
+            self.flight = item.values
+        elif item.name == flight_metadata.VERSIONS:
+            self.versions = item.values
+
+    def _take_configuration(self, item: RawAttachment) -> None:
+        self.configuration = item.data.decode(errors="replace")
+
+
+def _decoder(item: RawMessage) -> tuple[Channel, Callable[[bytes], object]] | None:
+    channel = BY_TOPIC.get(item.channel.topic)
+    if channel is None or channel.schema != item.channel.schema_name:
+        return None
+    return channel, codec_of(channel).decode
+
+
+class _Tally:
+    """Counts what one pass over the file finds."""
+
+    def __init__(self) -> None:
+        self.undecodable = 0
+        self._unknown = 0
+        self._messages: dict[str, int] = {}
+        self._highest: dict[str, int] = {}
+        self._start_ns: int | None = None
+        self._end_ns = 0
+
+    def count(self, item: RawMessage, *, known: bool) -> None:
+        topic = item.channel.topic
+        self._messages[topic] = self._messages.get(topic, 0) + 1
+        self._highest[topic] = max(self._highest.get(topic, -1), item.sequence)
+        self._unknown += not known
+        self._start_ns = item.t_ns if self._start_ns is None else min(self._start_ns, item.t_ns)
+        self._end_ns = max(self._end_ns, item.t_ns)
+
+    def integrity(self, reader: ContainerReader) -> Integrity:
+        missing = {
+            topic: self._highest[topic] + 1 - count
+            for topic, count in self._messages.items()
+            if self._highest[topic] + 1 > count
+        }
+        return Integrity(
+            complete=reader.complete and reader.bytes_lost == 0,
+            messages=dict(sorted(self._messages.items())),
+            missing=dict(sorted(missing.items())),
+            undecodable=self.undecodable,
+            unknown=self._unknown,
+            bytes_total=reader.bytes_total,
+            bytes_lost=reader.bytes_lost,
+            start_ns=self._start_ns or 0,
+            end_ns=self._end_ns,
+        )

@@ -1,0 +1,106 @@
+"""Messages that exist only in the log: views and summaries of what crosses the seams."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from companion.messages import ByteArray, FloatArray, PointArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StampedPose:
+    """A pose in a named frame.
+
+    Attributes:
+        t_ns: host time of the pose.
+        frame: name of the parent frame: "map", or "world" for the simulator's truth.
+        p: position of the body in that frame, (3,) m.
+        q: attitude of the body in that frame, (4,) unit quaternion (w, x, y, z).
+    """
+
+    t_ns: int
+    frame: str
+    p: FloatArray
+    q: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CloudView:
+    """A registered scan thinned out for viewing.
+
+    Attributes:
+        t_ns: host reception time of the scan's last packet.
+        points_map: (n, 3) metres.
+        reflectivity: (n,) as in `LidarScan`.
+    """
+
+    t_ns: int
+    points_map: PointArray
+    reflectivity: ByteArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PathView:
+    """The leader's path as points to draw.
+
+    Attributes:
+        t_ns: host time of the plan.
+        points_map: (n, 3) metres.
+    """
+
+    t_ns: int
+    points_map: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class ScanMark:
+    """Where in the order of control events a registered scan was handled; its points are not stored.
+
+    Attributes:
+        t_ns: host reception time of the scan's last packet.
+        sequence: the scan's sequence number.
+        points: number of registered points.
+        t_odometry_ns: time of the pose that registered it.
+        nearest_m: distance in the horizontal plane to the nearest point within half a metre of the
+            body's height, NaN if there is none.
+    """
+
+    t_ns: int
+    sequence: int
+    points: int
+    t_odometry_ns: int
+    nearest_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class FrameSummary:
+    """What a LiDAR frame consisted of, without its points.
+
+    Attributes:
+        t_ns: host reception time of the last packet.
+        clock_offset_ns: host time minus sensor time.
+        packets, packets_expected: completeness of the frame.
+    """
+
+    t_ns: int
+    sequence: int
+    t_sensor_start_ns: int
+    t_sensor_end_ns: int
+    clock_offset_ns: int
+    points: int
+    packets: int
+    packets_expected: int
+
+
+@dataclass(frozen=True, slots=True)
+class Statistics:
+    """Counters of one part of the system.
+
+    Attributes:
+        t_ns: host time of the reading.
+        source: who counts: "lidar", "mavlink", "log".
+        values: counters and gauges by name.
+    """
+
+    t_ns: int
+    source: str
+    values: Mapping[str, int | float]

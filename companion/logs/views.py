@@ -1,0 +1,94 @@
+"""Which channels a message goes to, and what is kept of the large ones."""
+
+import math
+
+import numpy as np
+
+from companion.logs import channels
+from companion.logs.channels import Channel
+from companion.logs.records import (
+    CloudView,
+    FrameSummary,
+    PathView,
+    ScanMark,
+    StampedPose,
+    Statistics,
+)
+from companion.messages import (
+    ControlEvent,
+    ImuSample,
+    LidarScan,
+    Odometry,
+    Output,
+    PlanUpdate,
+    RegisteredScan,
+)
+
+Recordable = ControlEvent | Output | ImuSample | LidarScan | Statistics
+
+LEVEL_BAND_M = 0.5
+
+_SIMPLE: dict[type, Channel] = {
+    channel.message_type: channel
+    for channel in (
+        channels.IMU,
+        channels.VEHICLE,
+        channels.AUTHORISATION,
+        channels.TICK,
+        channels.SETPOINT,
+        channels.MODE_REQUEST,
+        channels.STATE,
+        channels.LOG,
+        channels.STATISTICS,
+    )
+}
+
+
+def views_of(message: Recordable) -> list[tuple[Channel, object]]:
+    """Return the channels a message goes to and what is written there, clouds excepted.
+
+    Raises:
+        TypeError: if nothing is known of this kind of message.
+    """
+    if isinstance(message, Odometry):
+        pose = StampedPose(message.t_ns, "map", message.p_map, message.q_map_body)
+        return [(channels.ODOMETRY, message), (channels.POSE, pose)]
+    if isinstance(message, RegisteredScan):
+        return [(channels.SCAN, mark_of(message))]
+    if isinstance(message, LidarScan):
+        return [(channels.LIDAR_FRAMES, summary_of(message))]
+    if isinstance(message, PlanUpdate):
+        return [(channels.PLAN, message), (channels.PATH, PathView(message.t_ns, message.path_map))]
+    channel = _SIMPLE.get(type(message))
+    if channel is None:
+        raise TypeError(f"no channel for a {type(message).__name__}")
+    return [(channel, message)]
+
+
+def mark_of(scan: RegisteredScan) -> ScanMark:
+    """Return what is kept of a registered scan in the order of events."""
+    delta = scan.points_map - scan.odometry.p_map.astype(np.float32)
+    level = delta[np.abs(delta[:, 2]) <= LEVEL_BAND_M]
+    squared = level[:, 0] * level[:, 0] + level[:, 1] * level[:, 1]
+    nearest_m = math.sqrt(float(squared.min())) if len(squared) else math.nan
+    return ScanMark(scan.t_ns, scan.sequence, len(scan.points_map), scan.odometry.t_ns, nearest_m)
+
+
+def cloud_of(scan: RegisteredScan, points_max: int) -> CloudView:
+    """Return every k-th point of a registered scan, at most `points_max`."""
+    step = max(1, -(-len(scan.points_map) // points_max))
+    return CloudView(scan.t_ns, scan.points_map[::step].copy(), scan.reflectivity[::step].copy())
+
+
+def summary_of(scan: LidarScan) -> FrameSummary:
+    """Return the completeness and the clocks of a LiDAR frame."""
+    return FrameSummary(
+        scan.t_ns,
+        scan.sequence,
+        scan.t_sensor_start_ns,
+        scan.t_sensor_end_ns,
+        scan.clock_offset_ns,
+        len(scan.points_lidar),
+        scan.packets,
+        scan.packets_expected,
+    )
