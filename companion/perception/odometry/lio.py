@@ -1,0 +1,237 @@
+"""LiDAR-inertial odometry: where the body is, from nothing but its own sensor.
+
+Source of the method: W. Xu, Y. Cai, D. He, J. Lin, F. Zhang, "FAST-LIO2: Fast Direct LiDAR-Inertial
+Odometry", IEEE T-RO 38(4), 2022; the map is this project's own.
+"""
+
+import numpy as np
+
+from companion.clock import NANOSECONDS_PER_SECOND, seconds_to_ns
+from companion.geometry import rotation
+from companion.geometry.pose import Pose
+from companion.messages import (
+    ByteArray,
+    FloatArray,
+    ImuSample,
+    LidarScan,
+    Odometry,
+    OdometryStatus,
+    PointArray,
+    RegisteredScan,
+)
+from companion.perception.odometry import kernels
+from companion.perception.odometry.body_motion import body_odometry, no_odometry
+from companion.perception.odometry.health import Health, HealthMonitor
+from companion.perception.odometry.initialisation import StaticInitialiser
+from companion.perception.odometry.preprocessing import MOST_POINTS, Thinning, nearest_first, usable_points
+from companion.perception.odometry.propagation import Propagation
+from companion.perception.odometry.sequencer import Arrival, Sequencer
+from companion.perception.odometry.settings import OdometrySettings
+from companion.perception.odometry.state import NavigationState
+from companion.perception.odometry.update import Correction, ScanMatcher
+from companion.perception.odometry.voxel_map import VoxelMap
+
+_WAITING_PERIOD_NS = NANOSECONDS_PER_SECOND // 2
+
+
+class LidarInertialOdometry:
+    """Turns IMU samples and LiDAR scans into odometry of the body and scans in the map.
+
+    It reads no clock and keeps all memory bounded: what it returns follows from the events alone.
+    """
+
+    def __init__(self, settings: OdometrySettings, T_body_lidar: Pose, T_lidar_imu: Pose) -> None:
+        """Prepare to start at rest.
+
+        Args:
+            settings: see `OdometrySettings`.
+            T_body_lidar: point frame of the sensor in the body frame.
+            T_lidar_imu: the sensor's inertial chip in its point frame.
+        """
+        self._settings = settings
+        self._T_imu_body = (T_body_lidar @ T_lidar_imu).inverse()
+        T_imu_lidar = T_lidar_imu.inverse()
+        self._imu_lidar = np.concatenate([rotation.to_matrix(T_imu_lidar.q).ravel(), T_imu_lidar.p])
+        self.fine_map = VoxelMap(settings.fine_cell_m, settings.fine_blocks, settings.map_radius_m)
+        self.coarse_map = VoxelMap(settings.coarse_cell_m, settings.coarse_blocks, settings.map_radius_m)
+        self.sequencer = Sequencer(settings)
+        self.last_correction: Correction | None = None
+        self._initialiser = StaticInitialiser(settings, self._T_imu_body)
+        self._propagation = Propagation(settings)
+        self._thinning = Thinning(settings)
+        self._matcher = ScanMatcher(settings, self.fine_map, self.coarse_map)
+        self._points_imu = np.zeros((MOST_POINTS, 3))
+        self._scan_state: NavigationState | None = None  # at the end of the newest scan
+        self._head: NavigationState | None = None  # the same, at the newest IMU sample
+        self._health = HealthMonitor(settings, 0)
+        self._reset_counter = 0
+        self._clock_offset_ns: int | None = None
+        self._offset_by_scan = False
+        self._output_period_ns = round(NANOSECONDS_PER_SECOND / settings.output_hz)
+        self._last_output = (-1, -1)  # index in the output grid, host time
+
+    def handle(self, event: ImuSample | LidarScan) -> list[Odometry | RegisteredScan]:
+        """Take one event and return what follows from it.
+
+        Args:
+            event: IMU samples and scans in order of arrival.
+
+        Returns:
+            Odometry at the output rate, propagated to the newest IMU sample; one registered scan per
+            scan as soon as IMU samples cover its end. While it is not started, odometry with status
+            INITIALISING and the reason, twice a second.
+        """
+        outputs: list[Odometry | RegisteredScan] = []
+        if isinstance(event, LidarScan):
+            self._follow_clock(event)
+            self.sequencer.add_scan(event)
+        else:
+            outputs += self._handle_sample(event)
+        while self._scan_state is not None:
+            scan = self.sequencer.covered_scan(self._scan_state.t_ns)
+            if scan is None:
+                break
+            outputs += self._register(scan, self._scan_state)
+        return outputs
+
+    def _register(self, scan: LidarScan, state: NavigationState) -> list[Odometry | RegisteredScan]:
+        """The whole algorithm: predict, de-skew, match, correct, map, and catch up with the IMU."""
+        points_lidar, offsets_ns, reflectivity = usable_points(scan, self._settings)
+        self._propagation.advance(state, self.sequencer.history, scan.t_sensor_end_ns, scan.t_sensor_start_ns)
+        points_imu = self._points_imu[: len(points_lidar)]
+        kernels.deskew(
+            points_lidar,
+            offsets_ns,
+            self._propagation.segments,
+            self._propagation.count,
+            self._imu_lidar,
+            points_imu,
+        )
+        chosen = self._thinning.choose(points_imu)
+        correction = self._matcher.correct(state, points_imu, chosen)
+        state = correction.state
+        self.last_correction = correction
+        self._health.observe(state.t_ns, correction)
+        health = self._health.judge(state)
+        if health.status is OdometryStatus.LOST:
+            return [self._give_up(health)]
+        if correction.accepted:
+            self._insert(points_imu, state)
+        self._scan_state = state
+        outputs: list[Odometry | RegisteredScan] = []
+        if correction.accepted:
+            outputs.append(self._registered(scan, points_imu, reflectivity, state, health))
+        self._head = state.copy()
+        self._propagation.advance(
+            self._head, self.sequencer.history, self.sequencer.history.last_ns, state.t_ns
+        )
+        return outputs
+
+    def _handle_sample(self, sample: ImuSample) -> list[Odometry | RegisteredScan]:
+        """Take one IMU sample: start, restart, or propagate and report."""
+        arrival = self.sequencer.add_sample(sample)
+        if arrival is Arrival.DROPPED:
+            return []
+        if arrival in (Arrival.BROKEN, Arrival.RELABELLED):
+            self._offset_by_scan, self._clock_offset_ns = False, None
+            self._last_output = (-1, self._last_output[1])
+        self._follow_clock(sample)
+        if self._scan_state is None or self._head is None:
+            return self._wait_for_rest(sample)
+        if arrival is Arrival.BROKEN:
+            return [self._give_up(Health(OdometryStatus.LOST, 0, "IMU data interrupted"))]
+        if arrival is Arrival.RELABELLED:
+            shift_ns = self.sequencer.relabelled_by_ns
+            for state in (self._scan_state, self._head):
+                state.t_ns += shift_ns
+            self._health.relabel(shift_ns)
+            self._reset_counter += 1
+        self._propagation.advance(self._head, self.sequencer.history, sample.t_sensor_ns, sample.t_sensor_ns)
+        health = self._health.judge(self._head)
+        if health.status is OdometryStatus.LOST:
+            return [self._give_up(health)]
+        if not self._is_due(sample, self._output_period_ns):
+            return []
+        return [self._odometry(self._head, sample.gyro_imu - self._head.gyro_bias, health)]
+
+    def _wait_for_rest(self, sample: ImuSample) -> list[Odometry | RegisteredScan]:
+        """Start if the newest window shows rest, else say now and then why not."""
+        initialisation = self._initialiser.add(sample)
+        if initialisation.state is None:
+            if not self._is_due(sample, _WAITING_PERIOD_NS):
+                return []
+            health = Health(OdometryStatus.INITIALISING, 0, initialisation.reason)
+            t_ns = self._host_time_ns(sample.t_sensor_ns)
+            return [no_odometry(t_ns, sample.t_sensor_ns, self._reset_counter, health)]
+        self._scan_state = initialisation.state
+        self._head = initialisation.state.copy()
+        self._health = HealthMonitor(self._settings, sample.t_sensor_ns)
+        self._last_output = (-1, self._last_output[1])
+        resting_since_ns = sample.t_sensor_ns - seconds_to_ns(self._settings.initial_window_s)
+        for scan in self.sequencer.take_scans(resting_since_ns, sample.t_sensor_ns):
+            points_lidar, _, _ = usable_points(scan, self._settings)
+            points_imu = self._points_imu[: len(points_lidar)]
+            points_imu[:] = points_lidar @ self._imu_lidar[:9].reshape(3, 3).T + self._imu_lidar[9:]
+            self._insert(points_imu, initialisation.state)
+        return []
+
+    def _give_up(self, health: Health) -> Odometry:
+        """Forget motion and map and wait for rest again."""
+        self._scan_state = self._head = None
+        self.fine_map.clear()
+        self.coarse_map.clear()
+        self._initialiser.clear()
+        self._reset_counter += 1
+        self._last_output = (-1, self._last_output[1])
+        t_sensor_ns = self.sequencer.history.last_ns
+        return no_odometry(self._host_time_ns(t_sensor_ns), t_sensor_ns, self._reset_counter, health)
+
+    def _insert(self, points_imu: FloatArray, state: NavigationState) -> None:
+        self.fine_map.insert(points_imu, state.vector, self._settings.fine_range_m)
+        self.coarse_map.insert(points_imu, state.vector, self._settings.max_range_m)
+
+    def _registered(
+        self,
+        scan: LidarScan,
+        points_imu: FloatArray,
+        reflectivity: ByteArray,
+        state: NavigationState,
+        health: Health,
+    ) -> RegisteredScan:
+        """Return the scan in the map with the body's motion at its end."""
+        kept = nearest_first(points_imu, self._settings.registered_points)
+        points_map: PointArray = (points_imu[kept] @ state.R_map_imu.T + state.p_map).astype(np.float32)
+        omega_imu = self._propagation.end_rate
+        odometry = self._odometry(state, omega_imu, health)
+        return RegisteredScan(scan.t_ns, scan.sequence, points_map, reflectivity[kept], odometry)
+
+    def _odometry(self, state: NavigationState, omega_imu: FloatArray, health: Health) -> Odometry:
+        return body_odometry(
+            state,
+            omega_imu,
+            self._T_imu_body,
+            self._host_time_ns(state.t_ns),
+            self._reset_counter,
+            health,
+            self._settings,
+        )
+
+    def _follow_clock(self, event: ImuSample | LidarScan) -> None:
+        """Keep the newest scan's clock offset; before the first scan, the least delayed sample's."""
+        if isinstance(event, LidarScan):
+            self._clock_offset_ns, self._offset_by_scan = event.clock_offset_ns, True
+        elif not self._offset_by_scan:
+            offset_ns = event.t_ns - event.t_sensor_ns
+            known = self._clock_offset_ns
+            self._clock_offset_ns = offset_ns if known is None else min(known, offset_ns)
+
+    def _host_time_ns(self, t_sensor_ns: int) -> int:
+        return t_sensor_ns + (self._clock_offset_ns or 0)
+
+    def _is_due(self, sample: ImuSample, period_ns: int) -> bool:
+        """Whether an output is due at this sample; outputs never go back in host time."""
+        index, t_ns = sample.t_sensor_ns // period_ns, self._host_time_ns(sample.t_sensor_ns)
+        if index <= self._last_output[0] or t_ns <= self._last_output[1]:
+            return False
+        self._last_output = (index, t_ns)
+        return True
