@@ -1,0 +1,102 @@
+"""Data packets as the emulated Mid-360 sends them: measurement slots in, bytes out."""
+
+import struct
+import zlib
+
+import numpy as np
+from numpy.typing import NDArray
+
+from companion.drivers.livox_packets import (
+    ANGLE_UNIT_RAD,
+    HEADER_DTYPE,
+    HEADER_SIZE,
+    LENGTH_UNITS_M,
+    POINT_DTYPES,
+    STANDARD_GRAVITY_M_S2,
+    TIME_INTERVAL_UNIT_NS,
+    DataType,
+)
+from companion.messages import FloatArray
+from sitl.slots import SLOT_PERIOD_NS, SLOTS_PER_PACKET, InertialSlot, PointSlots
+
+TIME_INTERVAL = (SLOTS_PER_PACKET - 1) * SLOT_PERIOD_NS // TIME_INTERVAL_UNIT_NS
+_CHECKED_FROM = 28
+_CRC_AT = 24
+_FULL_TURN = 36_000
+
+
+def encode_points(
+    slots: PointSlots, data_type: DataType, counter: int, time_type: int, clock_error_ns: int = 0
+) -> list[bytes]:
+    """Return the packets of a whole number of packets' slots.
+
+    Args:
+        slots: a multiple of 96 consecutive slots.
+        data_type: one of the three point formats.
+        counter: the packet counter of the first packet.
+        time_type: the sensor's time source.
+        clock_error_ns: added to every stamp.
+
+    Raises:
+        ValueError: if the number of slots is not a multiple of 96.
+    """
+    total = len(slots.points_lidar)
+    if total % SLOTS_PER_PACKET:
+        raise ValueError(f"{total} slots do not fill packets of {SLOTS_PER_PACKET}")
+    n = total // SLOTS_PER_PACKET
+    point_dtype = POINT_DTYPES[data_type]
+    packet_dtype = np.dtype([("header", HEADER_DTYPE), ("points", point_dtype, (SLOTS_PER_PACKET,))])
+    packets = np.zeros(n, dtype=packet_dtype)
+    header = packets["header"]
+    steps = np.arange(n, dtype=np.int64)
+    header["length"] = packet_dtype.itemsize
+    header["time_interval"] = TIME_INTERVAL
+    header["dot_num"] = SLOTS_PER_PACKET
+    header["udp_cnt"] = (counter + steps) & 0xFFFF
+    header["data_type"] = data_type
+    header["time_type"] = time_type
+    first_slots = slots.first_slot + steps * SLOTS_PER_PACKET
+    header["timestamp"] = first_slots * SLOT_PERIOD_NS + clock_error_ns
+    points = packets["points"]
+    _fill(points, slots.points_lidar.reshape(n, SLOTS_PER_PACKET, 3), data_type)
+    points["reflectivity"] = slots.reflectivity.reshape(n, SLOTS_PER_PACKET)
+    points["tag"] = slots.tags.reshape(n, SLOTS_PER_PACKET)
+    content = packets.tobytes()
+    size = packet_dtype.itemsize
+    return [_sealed(content[at : at + size]) for at in range(0, n * size, size)]
+
+
+def encode_inertial(slot: InertialSlot, counter: int, time_type: int, clock_error_ns: int = 0) -> bytes:
+    """Return the packet of one inertial sample; the specific force leaves in units of g."""
+    header = np.zeros(1, dtype=HEADER_DTYPE)
+    values = struct.pack("<6f", *slot.gyro_imu, *(slot.accel_imu / STANDARD_GRAVITY_M_S2))
+    header["length"] = HEADER_SIZE + len(values)
+    header["dot_num"] = 1
+    header["udp_cnt"] = counter & 0xFFFF
+    header["data_type"] = DataType.IMU
+    header["time_type"] = time_type
+    header["timestamp"] = (slot.t_sensor_ns + clock_error_ns) % (1 << 64)
+    return _sealed(header.tobytes() + values)
+
+
+def _sealed(packet: bytes) -> bytes:
+    """Return the packet with its checksum filled in."""
+    checksum = zlib.crc32(packet[_CHECKED_FROM:]).to_bytes(4, "little")
+    return packet[:_CRC_AT] + checksum + packet[_CHECKED_FROM:]
+
+
+def _fill(points: NDArray[np.void], points_lidar: FloatArray, data_type: DataType) -> None:
+    """Write coordinates (..., 3) in metres into raw points of one format."""
+    unit_m = LENGTH_UNITS_M[data_type]
+    if data_type is not DataType.SPHERICAL:
+        limits = np.iinfo(points["xyz"].dtype)
+        points["xyz"] = np.clip(np.rint(points_lidar / unit_m), limits.min, limits.max)
+        return
+    depth_m = np.linalg.norm(points_lidar, axis=-1)
+    returned = depth_m > 0.0
+    cosine = np.divide(points_lidar[..., 2], depth_m, out=np.ones_like(depth_m), where=returned)
+    theta = np.arccos(np.clip(cosine, -1.0, 1.0)) * returned
+    phi = np.arctan2(points_lidar[..., 1], points_lidar[..., 0]) * returned
+    points["depth"] = np.rint(depth_m / unit_m)
+    points["theta"] = np.rint(theta / ANGLE_UNIT_RAD)
+    points["phi"] = np.rint(phi / ANGLE_UNIT_RAD) % _FULL_TURN
