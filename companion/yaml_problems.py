@@ -68,7 +68,7 @@ def _problem(kind: str, loc: KeyPath, message: str, tree: Node, schema: Schema) 
         wanted = describe(_descend(schema, schema, (*path, rest[0])), schema)
         return Problem(mark, (*path, rest[0]), f"missing, allowed is {wanted}")
     if kind == _MISFIT:
-        return Problem(mark, path, message)
+        return Problem(mark, (*path, *rest), message)
     if kind in ("value_error", "assertion_error"):
         return Problem(mark, path, message.partition(", ")[2] or message)
     found = f"found {described(node)}, allowed is {describe(inner, schema)}"

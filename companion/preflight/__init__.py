@@ -1,0 +1,1 @@
+"""Go or no-go before a flight: one line per check, each with its reason."""
