@@ -1,15 +1,17 @@
 """Carries values between the pipeline, the autopilot session and the log; the same in flight and in lockstep.
 
-Every method takes what happened and returns the MAVLink messages to send because of it.
+Every method takes what happened and returns the MAVLink messages to send because of it. Control events are
+recorded in the order in which the pipeline handles them, which is what a replay needs.
 """
 
 from collections.abc import Iterable, Sequence
-from typing import Protocol
 
 from companion.drivers.px4_session import Px4Session
+from companion.logs import channels
+from companion.logs.records import Statistics
+from companion.logs.writer import FlightLog
 from companion.messages import (
     Authorisation,
-    ControlEvent,
     Datagram,
     FlightState,
     MavlinkMessage,
@@ -18,7 +20,6 @@ from companion.messages import (
     Output,
     PerceptionUpdate,
     PlanUpdate,
-    RegisteredScan,
     Setpoint,
     StateChange,
     StatusText,
@@ -26,27 +27,15 @@ from companion.messages import (
 )
 from companion.pipeline import Pipeline
 
-MAVLINK_RECEIVED = "/mavlink/rx"
-MAVLINK_SENT = "/mavlink/tx"
-LIDAR_PACKETS = "/lidar/packets"
-
-
-class Recorder(Protocol):
-    """Where everything that happened is kept."""
-
-    def write(self, topic: str, message: object, t_ns: int) -> None:
-        """Append one message under a topic; never blocks, never raises."""
-        ...
-
 
 class Exchange:
     """One vehicle's traffic between its parts."""
 
-    def __init__(self, pipeline: Pipeline, session: Px4Session, recorder: Recorder) -> None:
+    def __init__(self, pipeline: Pipeline, session: Px4Session, log: FlightLog) -> None:
         """Join the parts."""
         self._pipeline = pipeline
         self._session = session
-        self._recorder = recorder
+        self._log = log
 
     @property
     def state(self) -> FlightState:
@@ -55,21 +44,36 @@ class Exchange:
 
     def record_datagram(self, datagram: Datagram) -> None:
         """Keep one raw LiDAR datagram."""
-        self._recorder.write(LIDAR_PACKETS, datagram, datagram.t_ns)
+        self._log.record(datagram, datagram.t_ns)
+
+    def record_counters(self, source: str, counters: object, t_ns: int) -> None:
+        """Keep all numbers of a statistics snapshot (a slotted dataclass) under the name of its source."""
+        values = {name: getattr(counters, name) for name in getattr(counters, "__slots__", ())}
+        numbers = {name: value for name, value in values.items() if isinstance(value, (int, float))}
+        self._log.record(Statistics(t_ns, source, numbers), t_ns)
+
+    def record_sent(self, messages: Iterable[MavlinkMessage], t_ns: int) -> None:
+        """Keep what has really left for the autopilot, with the time at which it did."""
+        for message in messages:
+            self._log.write(channels.MAVLINK_TX, message, t_ns)
 
     def receive(self, message: MavlinkMessage, t_ns: int) -> list[MavlinkMessage]:
         """Take one message from the autopilot's link."""
-        self._recorder.write(MAVLINK_RECEIVED, message, t_ns)
-        return self._sent(self._session.receive(message, t_ns), t_ns)
+        self._log.write(channels.MAVLINK_RX, message, t_ns)
+        return self._session.receive(message, t_ns)
 
     def update(self, update: PerceptionUpdate, t_ns: int) -> list[MavlinkMessage]:
         """Take one estimate from the heavy half of the pipeline."""
-        self._record_event(update, t_ns)
+        self._log.record(update, t_ns)
         return self._carry_out(self._pipeline.decide(update), t_ns)
 
+    def refusal(self, authorisation: Authorisation) -> str:
+        """Return why an authorisation would not be followed now, or an empty string."""
+        return self._pipeline.refusal(authorisation)
+
     def authorise(self, authorisation: Authorisation) -> list[MavlinkMessage]:
-        """Take an operator's permission that did not come over MAVLink."""
-        self._record_event(authorisation, authorisation.t_ns)
+        """Take an operator's permission, or its withdrawal."""
+        self._log.record(authorisation, authorisation.t_ns)
         return self._carry_out(self._pipeline.decide(authorisation), authorisation.t_ns)
 
     def request_stop(self, t_ns: int) -> None:
@@ -81,25 +85,11 @@ class Exchange:
         messages: list[MavlinkMessage] = []
         for authorisation in self._session.authorisations():
             messages.extend(self.authorise(authorisation))
-        vehicle = self._session.vehicle_state(t_ns)
-        self._record_event(vehicle, t_ns)
-        self._pipeline.decide(vehicle)
-        messages.extend(self._carry_out(self._pipeline.decide(Tick(t_ns)), t_ns))
-        messages.extend(self._sent(self._session.poll(t_ns, self._pipeline.state), t_ns))
+        for event in (self._session.vehicle_state(t_ns), Tick(t_ns)):
+            self._log.record(event, t_ns)
+            messages.extend(self._carry_out(self._pipeline.decide(event), t_ns))
+        messages.extend(self._session.poll(t_ns, self._pipeline.state))
         return messages
-
-    def _record_event(self, event: ControlEvent, t_ns: int) -> None:
-        match event:
-            case Odometry():
-                self._recorder.write("/odometry", event, t_ns)
-            case RegisteredScan():
-                self._recorder.write("/cloud", event, t_ns)
-            case Authorisation():
-                self._recorder.write("/authorisation", event, t_ns)
-            case Tick():
-                pass
-            case _:
-                self._recorder.write("/vehicle", event, t_ns)
 
     def _carry_out(self, outputs: Sequence[Output], t_ns: int) -> list[MavlinkMessage]:
         messages: list[MavlinkMessage] = []
@@ -108,25 +98,18 @@ class Exchange:
                 case Setpoint():
                     message = self._session.setpoint(output, t_ns)
                     if message is not None:
-                        self._recorder.write("/setpoint", output, t_ns)
+                        self._log.record(output, t_ns)
                         messages.append(message)
                 case Odometry():
                     message = self._session.odometry(output, t_ns)
                     if message is not None:
                         messages.append(message)
                 case ModeRequest():
+                    self._log.record(output, t_ns)
                     messages.extend(self._session.request_mode(output.mode, t_ns))
                 case StatusText():
-                    self._recorder.write("/log", output, t_ns)
+                    self._log.record(output, t_ns)
                     messages.extend(self._session.status_text(output))
-                case StateChange():
-                    self._recorder.write("/state", output, t_ns)
-                case PlanUpdate():
-                    self._recorder.write("/plan", output, t_ns)
-        return self._sent(messages, t_ns)
-
-    def _sent(self, messages: Iterable[MavlinkMessage], t_ns: int) -> list[MavlinkMessage]:
-        kept = list(messages)
-        for message in kept:
-            self._recorder.write(MAVLINK_SENT, message, t_ns)
-        return kept
+                case StateChange() | PlanUpdate():
+                    self._log.record(output, t_ns)
+        return messages

@@ -166,18 +166,19 @@ class Pipeline:
         if self._stop_ns is None:
             self._stop_ns = t_ns
 
-    @property
-    def silent(self) -> bool:
-        """No setpoint will be sent in the present state."""
-        return not self._streams()
+    def refusal(self, event: Authorisation) -> str:
+        """Return why an authorisation would not be followed now, or an empty string."""
+        if not event.granted:
+            return ""
+        if event.source not in self._sources:
+            return f"{event.source} not permitted"
+        return self._supervisor.refusal(self._facts(event.t_ns, authorised=True))
 
     def _authorise(self, event: Authorisation) -> list[Output]:
         if not event.granted:
             self._revoked = True
             return []
-        if event.source not in self._sources:
-            return [_text(event.t_ns, Severity.WARNING, f"engage refused: {event.source} not permitted")]
-        refusal = self._supervisor.refusal(self._facts(event.t_ns, authorised=True))
+        refusal = self.refusal(event)
         if refusal:
             return [_text(event.t_ns, Severity.WARNING, f"engage refused: {refusal}")]
         self._grant = event

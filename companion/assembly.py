@@ -1,0 +1,27 @@
+"""Which parts fly, decided by the profile."""
+
+import numpy as np
+
+from companion.config import Profile
+from companion.control.hold import HoldRole
+from companion.control.leader.planner import LeaderPlanner
+from companion.perception.odometry.lio import LidarInertialOdometry
+from companion.pipeline import Pipeline, Role
+
+_PLANNER_SEED = 0
+
+
+def assemble(profile: Profile) -> Pipeline:
+    """Build the pipeline of one vehicle."""
+    return Pipeline(
+        estimator=LidarInertialOdometry(profile.odometry, profile.vehicle.T_body_lidar, profile.vehicle.T_lidar_imu),
+        role=_role(profile),
+        safety=profile.safety,
+        authorisation_sources=profile.authorisation.sources,
+    )
+
+
+def _role(profile: Profile) -> Role:
+    if profile.leader is not None:
+        return LeaderPlanner(profile.leader, np.random.default_rng(_PLANNER_SEED))
+    return HoldRole()

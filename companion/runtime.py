@@ -1,0 +1,210 @@
+"""What runs on the vehicle: drivers feed the pipeline, the pipeline feeds the autopilot, all is logged.
+
+Three threads share the work. The LiDAR thread receives packets; the perception thread estimates motion;
+the event loop decides and sends. Setpoints are made and sent on the event loop only, one message each,
+so whatever stalls it, or kills the process, ends the stream and lets PX4's failsafe act.
+"""
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import structlog
+
+from companion.assembly import assemble
+from companion.clock import SystemClock, seconds_to_ns
+from companion.config import Profile
+from companion.control_socket import ControlSocket, JsonObject
+from companion.directories import SOCKET_NAME
+from companion.drivers.livox import LivoxDriver
+from companion.drivers.px4 import Px4Link
+from companion.drivers.px4_session import Px4Session
+from companion.exchange import Exchange
+from companion.logs.writer import FlightLog
+from companion.messages import Authorisation, FlightState, MavlinkMessage, PerceptionUpdate
+from companion.perception_thread import PerceptionThread
+from companion.safety.supervisor import COMMANDING
+from companion.service import Service
+
+_log = structlog.get_logger(__name__)
+
+_START_TIMEOUT_S = 20.0
+_STATISTICS_PERIOD_NS = seconds_to_ns(1.0)
+_MAX_STOP_NS = seconds_to_ns(3.0)
+# An outgoing message that waited longer than this is dropped: late is worse than never.
+_MAX_OUTBOX_AGE_NS = seconds_to_ns(0.2)
+_OUTBOX_SIZE = 256
+_PARTS = ("decision", "perception", "sending")
+
+
+@dataclass(frozen=True, slots=True)
+class FlightOutcome:
+    """How a run of the service ended: the last state, why it ended, and where the log is."""
+
+    state: FlightState
+    reason: str
+    log: Path
+
+
+@dataclass(frozen=True, slots=True)
+class Backlog:
+    """What was given up because the process could not keep pace: sensor events and messages."""
+
+    sensor_events_dropped: int
+    messages_dropped: int
+
+
+class Flight:
+    """One run of the companion on one vehicle."""
+
+    def __init__(self, profile: Profile, *, clock: SystemClock, service: Service, log: FlightLog) -> None:
+        """Build every part; sockets are opened by `run`."""
+        self._clock = clock
+        self._service = service
+        self._flight_log = log
+        self._period_ns = round(1e9 / profile.autopilot.setpoint_hz)
+        pipeline = assemble(profile)
+        session = Px4Session(profile.autopilot)
+        self._exchange = Exchange(pipeline, session, log)
+        self._link = Px4Link(profile.autopilot, session, clock, self._on_mavlink)
+        self._perception = PerceptionThread(
+            pipeline, self._on_estimates, lambda: service.liveness.move("perception")
+        )
+        self._lidar = LivoxDriver(
+            profile.lidar, clock, self._perception.submit, self._exchange.record_datagram
+        )
+        self._control = ControlSocket(service.directories.runtime / SOCKET_NAME, self._on_request)
+        self._outbox: asyncio.Queue[tuple[int, list[MavlinkMessage]]] = asyncio.Queue(_OUTBOX_SIZE)
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._dropped = 0
+
+    async def run(self) -> FlightOutcome:
+        """Fly until asked to stop.
+
+        Raises:
+            StartError: if a driver cannot start; the text names the stage.
+        """
+        self._loop = asyncio.get_running_loop()
+        for part in _PARTS:
+            self._service.liveness.require(part)
+        async with self._drivers():
+            tasks = [
+                asyncio.create_task(self._decide_forever(), name="decision"),
+                asyncio.create_task(self._send_forever(), name="sending"),
+                asyncio.create_task(self._service.keep_watchdog(self._clock), name="watchdog"),
+            ]
+            self._service.ready()
+            _log.info("ready")
+            stop = asyncio.create_task(self._service.stop.wait(), name="stop")
+            try:
+                await self._until_stopped_or_failed(stop, tasks)
+            finally:
+                for task in (*tasks, stop):
+                    task.cancel()
+                await asyncio.gather(*tasks, stop, return_exceptions=True)
+        return FlightOutcome(self._exchange.state, self._service.stop.reason, self._flight_log.path)
+
+    @contextlib.asynccontextmanager
+    async def _drivers(self) -> AsyncIterator[None]:
+        async with contextlib.AsyncExitStack() as stack:
+            self._perception.start()
+            stack.callback(self._perception.stop)
+            await self._control.start()
+            stack.push_async_callback(self._control.close)
+            self._service.status("starting: autopilot")
+            await self._link.start(_START_TIMEOUT_S)
+            stack.push_async_callback(self._link.stop)
+            self._service.status("starting: LiDAR")
+            await self._lidar.start(_START_TIMEOUT_S)
+            stack.push_async_callback(self._lidar.stop)
+            yield
+
+    async def _until_stopped_or_failed(
+        self, stop: asyncio.Task[str], tasks: Sequence[asyncio.Task[None]]
+    ) -> None:
+        """Wait for the end; in the air, brake first so that PX4's failsafe takes over a vehicle at rest."""
+        working = [task for task in tasks if task.get_name() != "watchdog"]
+        await asyncio.wait([stop, *working], return_when=asyncio.FIRST_COMPLETED)
+        for task in working:
+            if task.done():
+                task.result()  # a decision or sending task ends only by failing: let it be seen
+        self._exchange.request_stop(self._clock.now_ns())
+        deadline_ns = self._clock.now_ns() + _MAX_STOP_NS
+        while self._exchange.state in COMMANDING and self._clock.now_ns() < deadline_ns:
+            await self._clock.sleep(self._period_ns)
+
+    async def _decide_forever(self) -> None:
+        next_ns = self._clock.now_ns()
+        next_statistics_ns = next_ns
+        while True:
+            now_ns = self._clock.now_ns()
+            self._post(now_ns, self._exchange.tick(now_ns))
+            self._service.liveness.move("decision")
+            if now_ns >= next_statistics_ns:
+                next_statistics_ns = now_ns + _STATISTICS_PERIOD_NS
+                self._record_statistics(now_ns)
+            # Ticks that were missed are gone: a burst of late setpoints would be worse than a gap.
+            next_ns = max(next_ns + self._period_ns, self._clock.now_ns())
+            await self._clock.sleep_until(next_ns)
+
+    async def _send_forever(self) -> None:
+        while True:
+            posted_ns, messages = await self._outbox.get()
+            if self._clock.now_ns() - posted_ns > _MAX_OUTBOX_AGE_NS:
+                self._dropped += len(messages)
+                continue
+            await self._link.send(messages)
+            self._exchange.record_sent(messages, self._clock.now_ns())
+            self._service.liveness.move("sending")
+
+    def _post(self, t_ns: int, messages: list[MavlinkMessage]) -> None:
+        if not messages:
+            return
+        if self._outbox.full():
+            _, dropped = self._outbox.get_nowait()
+            self._dropped += len(dropped)
+        self._outbox.put_nowait((t_ns, messages))
+
+    def _on_mavlink(self, message: MavlinkMessage, t_ns: int) -> None:
+        self._post(t_ns, self._exchange.receive(message, t_ns))
+
+    def _on_estimates(self, updates: Sequence[PerceptionUpdate]) -> None:
+        if self._loop is not None:
+            with contextlib.suppress(RuntimeError):  # the loop has closed: nobody flies any more
+                self._loop.call_soon_threadsafe(self._take_estimates, updates)
+
+    def _take_estimates(self, updates: Sequence[PerceptionUpdate]) -> None:
+        now_ns = self._clock.now_ns()
+        for update in updates:
+            self._post(now_ns, self._exchange.update(update, now_ns))
+
+    def _on_request(self, request: JsonObject) -> JsonObject:
+        """Answer an operator on this computer."""
+        now_ns = self._clock.now_ns()
+        verb = request["verb"]
+        if verb in ("engage", "release"):
+            authorisation = Authorisation(now_ns, granted=verb == "engage", source="command")
+            refusal = self._exchange.refusal(authorisation)
+            self._post(now_ns, self._exchange.authorise(authorisation))
+            if refusal:
+                return {"ok": False, "error": refusal}
+        return {"ok": True, "state": self._exchange.state.value}
+
+    def _record_statistics(self, t_ns: int) -> None:
+        state = self._exchange.state
+        self._service.status(state.value)
+        self._exchange.record_counters("lidar", self._lidar.statistics(), t_ns)
+        self._exchange.record_counters("runtime", Backlog(self._perception.dropped, self._dropped), t_ns)
+        self._flight_log.record(self._flight_log.status().statistics(t_ns), t_ns)
+
+
+async def fly(profile: Profile, *, clock: SystemClock, service: Service, log: FlightLog) -> FlightOutcome:
+    """Run the companion until a stop is requested.
+
+    Raises:
+        StartError: if a driver cannot start.
+    """
+    with service.signals():
+        return await Flight(profile, clock=clock, service=service, log=log).run()

@@ -1,0 +1,69 @@
+"""A cable that loses, doubles and delays datagrams."""
+
+import heapq
+
+from numpy.random import Generator
+from pydantic import Field
+
+from companion.clock import seconds_to_ns
+from companion.messages import Datagram
+from companion.settings import Settings
+
+
+class NetworkSettings(Settings):
+    """Faults of the link between the LiDAR and its host."""
+
+    loss: float = Field(default=0.0, ge=0.0, le=1.0)
+    """Share of datagrams that never arrive."""
+
+    duplication: float = Field(default=0.0, ge=0.0, le=1.0)
+    """Share of datagrams that arrive twice."""
+
+    latency_ms: float = Field(default=0.2, ge=0.0, le=1000.0)
+    """Least time on the way."""
+
+    jitter_ms: float = Field(default=0.1, ge=0.0, le=1000.0)
+    """Largest further time on the way; datagrams may overtake each other."""
+
+    outage_at_s: float | None = Field(default=None, ge=0.0)
+    """Start of a complete silence, in seconds after power-on; none by default."""
+
+    outage_s: float = Field(default=0.3, ge=0.0)
+    """Length of that silence."""
+
+
+class Network:
+    """Delivers datagrams late, twice or never; deterministic for a given generator."""
+
+    def __init__(self, settings: NetworkSettings, rng: Generator, start_ns: int) -> None:
+        """Begin empty; `start_ns` is the moment of power-on."""
+        self._settings = settings
+        self._rng = rng
+        self._waiting: list[tuple[int, int, Datagram]] = []
+        self._count = 0
+        self._outage_ns = (0, 0)
+        if settings.outage_at_s is not None:
+            begin_ns = start_ns + seconds_to_ns(settings.outage_at_s)
+            self._outage_ns = (begin_ns, begin_ns + seconds_to_ns(settings.outage_s))
+
+    def send(self, datagram: Datagram) -> None:
+        """Put one datagram on the wire at its `t_ns`."""
+        if self._outage_ns[0] <= datagram.t_ns < self._outage_ns[1]:
+            return
+        fate_loss, fate_twice, *waits = self._rng.random(4)
+        if fate_loss < self._settings.loss:
+            return
+        for wait in waits[: 2 if fate_twice < self._settings.duplication else 1]:
+            delay_ms = self._settings.latency_ms + wait * self._settings.jitter_ms
+            self._count += 1
+            heapq.heappush(
+                self._waiting, (datagram.t_ns + seconds_to_ns(1e-3 * delay_ms), self._count, datagram)
+            )
+
+    def deliver(self, t_ns: int) -> list[Datagram]:
+        """Return what has arrived by `t_ns`, stamped with its time of arrival, in order of arrival."""
+        arrived: list[Datagram] = []
+        while self._waiting and self._waiting[0][0] <= t_ns:
+            arrival_ns, _, datagram = heapq.heappop(self._waiting)
+            arrived.append(Datagram(arrival_ns, datagram.source, datagram.destination, datagram.payload))
+        return arrived

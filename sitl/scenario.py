@@ -1,0 +1,171 @@
+"""What happens in a simulated flight: the world, the vehicle's start, the operator, the faults, the seed."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from numpy.random import Generator, SeedSequence
+from pydantic import Field, Strict, model_validator
+
+from companion.clock import NANOSECONDS_PER_SECOND
+from companion.config import Profile, load_profile
+from companion.geometry import rotation
+from companion.geometry.pose import Pose
+from companion.messages import FloatArray
+from companion.settings import Settings
+from companion.yaml_source import load
+from sitl.dynamics import QuadrotorSettings
+from sitl.network import NetworkSettings
+from sitl.wind import WindSettings
+from sitl.worlds.pillars import PillarFieldSettings, pillar_field
+from sitl.worlds.primitives import Primitive, World
+
+Point = Annotated[tuple[float, float], Strict(False)]
+
+
+class WorldSettings(Settings):
+    """The surroundings: a random pillar field or an explicit list of bodies."""
+
+    pillars: PillarFieldSettings | None = None
+    """A random field; its free discs are moved to the vehicle's start and goal."""
+
+    primitives: list[Primitive] | None = None
+    """Bodies one by one."""
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> "WorldSettings":
+        if (self.pillars is None) == (self.primitives is None):
+            raise ValueError("name either pillars or primitives")
+        return self
+
+
+class OperatorSettings(Settings):
+    """The person who arms, takes off and authorises."""
+
+    takeoff_height_m: float = Field(default=1.5, gt=0.2, le=20.0)
+    """Height to which the autopilot climbs by itself."""
+
+    authorise_after_s: float = Field(default=2.0, ge=0.0, le=60.0)
+    """Hovering time before the companion may engage."""
+
+    takeover_after_s: float | None = Field(default=None, gt=0.0)
+    """Seconds after engaging at which the pilot selects POSITION; never by default."""
+
+
+class Scenario(Settings):
+    """One simulated flight."""
+
+    profile: str
+    """Profile of the vehicle, relative to this file."""
+
+    seed: int = Field(default=1, ge=0, le=2**63 - 1)
+    """Everything random comes from it."""
+
+    max_duration_s: float = Field(default=180.0, gt=0.0, le=3600.0)
+    """The flight has failed if it lasts longer."""
+
+    goal_tolerance_m: float = Field(default=1.0, gt=0.0, le=10.0)
+    """Largest distance between the place of landing and the last waypoint."""
+
+    vehicle_radius_m: float = Field(default=0.2, gt=0.0, le=2.0)
+    """A surface nearer than this to the vehicle's centre is a collision."""
+
+    start_world_m: Point = (0.0, 0.0)
+    """Where the vehicle stands."""
+
+    start_yaw_deg: float | None = Field(default=None, ge=-180.0, le=180.0)
+    """Its heading; random by default."""
+
+    perception_latency_ms: float = Field(default=20.0, ge=0.0, le=500.0)
+    """Computing time of a scan in lockstep, where computing takes no simulated time of its own."""
+
+    vibration: bool = True
+    """Shake the IMU while the motors run."""
+
+    world: WorldSettings
+    operator: OperatorSettings = OperatorSettings()
+    network: NetworkSettings = NetworkSettings()
+    quadrotor: QuadrotorSettings = QuadrotorSettings()
+    wind: WindSettings = WindSettings(gust_mps=0.3, vertical_gust_mps=0.1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stage:
+    """A scenario made concrete by its seed.
+
+    Attributes:
+        scenario: as written, with the seed that counts.
+        profile: of the vehicle under test.
+        world: what the LiDAR sees and the vehicle can hit.
+        T_world_start: pose of the body at power-on, on the ground; the map frame begins here.
+        goal_world: (3,) last waypoint, or the start for a vehicle without waypoints.
+        seeds: root of every stream of chance.
+    """
+
+    scenario: Scenario
+    profile: Profile
+    profile_path: Path
+    world: World
+    T_world_start: Pose
+    goal_world: FloatArray
+    seeds: SeedSequence
+
+    def generator(self, consumer: str) -> Generator:
+        """Return the stream of chance that belongs to a named consumer, whatever else draws."""
+        label = [ord(letter) for letter in consumer]
+        return np.random.default_rng(SeedSequence(self.seeds.entropy, spawn_key=tuple(label)))
+
+    @property
+    def max_duration_ns(self) -> int:
+        """Longest simulated time."""
+        return round(self.scenario.max_duration_s * NANOSECONDS_PER_SECOND)
+
+
+def load_scenario(path: Path) -> Scenario:
+    """Read a scenario file.
+
+    Raises:
+        ProfileError: if it is wrong, naming file, line and column.
+    """
+    return load(path, Scenario)
+
+
+def set_stage(scenario: Scenario, folder: Path, seed: int | None) -> Stage:
+    """Build the world and the start for one seed (the scenario's own by default).
+
+    Raises:
+        ProfileError: if the vehicle's profile is wrong.
+    """
+    if seed is not None:
+        scenario = scenario.model_copy(update={"seed": seed})
+    profile_path = folder / scenario.profile
+    profile = load_profile(profile_path)
+    seeds = SeedSequence(scenario.seed)
+    rng = np.random.default_rng(seeds)
+    yaw = rng.uniform(-np.pi, np.pi) if scenario.start_yaw_deg is None else np.radians(scenario.start_yaw_deg)
+    standing_m = scenario.quadrotor.ground_height_m + scenario.quadrotor.standing_height_m
+    T_world_start = Pose.of([*scenario.start_world_m, standing_m], rotation.from_yaw(yaw))
+    waypoints = profile.leader.mission.waypoints_m if profile.leader is not None else ()
+    goal_world = T_world_start.transform(waypoints[-1] if len(waypoints) else (0.0, 0.0, 0.0))
+    return Stage(
+        scenario=scenario,
+        profile=profile,
+        profile_path=profile_path,
+        world=_world(scenario, goal_world, rng),
+        T_world_start=T_world_start,
+        goal_world=goal_world,
+        seeds=seeds,
+    )
+
+
+def _world(scenario: Scenario, goal_world: FloatArray, rng: Generator) -> World:
+    if scenario.world.pillars is None:
+        return World.of(scenario.world.primitives or ())
+    settings = scenario.world.pillars.model_copy(
+        update={
+            "spawn_world_m": scenario.start_world_m,
+            "goal_world_m": (float(goal_world[0]), float(goal_world[1])),
+        }
+    )
+    return pillar_field(rng, settings)

@@ -1,0 +1,118 @@
+"""The parts that fly, driven step by step: no threads, no sockets, the same bytes."""
+
+from collections import deque
+from collections.abc import Sequence
+
+from companion.assembly import assemble
+from companion.clock import seconds_to_ns
+from companion.config import Profile
+from companion.drivers.livox_framing import LivoxReceiver, LivoxStatistics
+from companion.drivers.livox_handshake import LivoxHandshake
+from companion.drivers.mavlink_codec import MavlinkEncoder, MavlinkParser
+from companion.drivers.px4_session import Px4Session
+from companion.exchange import Exchange
+from companion.logs.writer import FlightLog
+from companion.messages import (
+    Datagram,
+    FlightState,
+    LidarScan,
+    MavlinkMessage,
+    PerceptionUpdate,
+    SensorEvent,
+)
+from companion.pipeline import Pipeline
+
+_STATISTICS_PERIOD_NS = seconds_to_ns(1.0)
+
+
+class SteppedCompanion:
+    """One vehicle's companion; the same drivers, pipeline and exchange as in flight, called in turn."""
+
+    def __init__(self, profile: Profile, log: FlightLog, *, host_ip: str, perception_latency_ns: int) -> None:
+        """Build every part; `perception_latency_ns` is what computing a scan takes."""
+        self._pipeline = assemble(profile)
+        self._session = Px4Session(profile.autopilot)
+        self._exchange = Exchange(self._pipeline, self._session, log)
+        self._receiver = LivoxReceiver(profile.lidar)
+        self._handshake = LivoxHandshake(profile.lidar, host_ip)
+        self._data_ports = (profile.lidar.host_ports.points, profile.lidar.host_ports.imu)
+        self._encoder = MavlinkEncoder()
+        self._parser = MavlinkParser()
+        self._perception = PerceptionQueue(self._pipeline, perception_latency_ns)
+        self._period_ns = round(1e9 / profile.autopilot.setpoint_hz)
+        self._next_tick_ns = 0
+        self._next_statistics_ns = 0
+
+    @property
+    def state(self) -> FlightState:
+        """The supervisor's present state."""
+        return self._exchange.state
+
+    def lidar_statistics(self) -> LivoxStatistics:
+        """Return what was received from the LiDAR."""
+        return self._receiver.statistics()
+
+    def receive_datagram(self, datagram: Datagram) -> list[Datagram]:
+        """Take one datagram from the LiDAR; return what is answered."""
+        if datagram.destination[1] not in self._data_ports:
+            return self._handshake.receive(datagram)
+        self._exchange.record_datagram(datagram)
+        for event in self._receiver.receive(datagram):
+            self._perception.submit(event)
+        return []
+
+    def receive_mavlink(self, data: bytes, t_ns: int) -> list[bytes]:
+        """Take bytes from the autopilot; return what is answered."""
+        answers: list[MavlinkMessage] = []
+        for message in self._parser.feed(data):
+            answers.extend(self._exchange.receive(message, t_ns))
+        return self._send(answers, t_ns)
+
+    def step(self, t_ns: int) -> tuple[list[Datagram], list[bytes]]:
+        """Do everything that is due at `t_ns`; return datagrams to the LiDAR and bytes to the autopilot."""
+        self._handshake.observe_data(self._receiver.t_points_ns, self._receiver.t_imu_ns)
+        datagrams = self._handshake.poll(t_ns)
+        messages: list[MavlinkMessage] = []
+        for update in self._perception.finished(t_ns):
+            messages.extend(self._exchange.update(update, t_ns))
+        if t_ns >= self._next_tick_ns:
+            self._next_tick_ns = t_ns + self._period_ns
+            messages.extend(self._exchange.tick(t_ns))
+        if t_ns >= self._next_statistics_ns:
+            self._next_statistics_ns = t_ns + _STATISTICS_PERIOD_NS
+            self._exchange.record_counters("lidar", self._receiver.statistics(), t_ns)
+        return datagrams, self._send(messages, t_ns)
+
+    def _send(self, messages: list[MavlinkMessage], t_ns: int) -> list[bytes]:
+        self._exchange.record_sent(messages, t_ns)
+        return [self._encoder.encode(message) for message in messages]
+
+
+class PerceptionQueue:
+    """Computing time as simulated time: what arrives while a scan is being worked on has to wait."""
+
+    def __init__(self, pipeline: Pipeline, latency_ns: int) -> None:
+        """Take `latency_ns` for every scan and none for an IMU sample."""
+        self._pipeline = pipeline
+        self._latency_ns = latency_ns
+        self._events: deque[SensorEvent] = deque()
+        self._results: deque[tuple[int, Sequence[PerceptionUpdate]]] = deque()
+        self._busy_until_ns = 0
+
+    def submit(self, event: SensorEvent) -> None:
+        """Queue one event."""
+        self._events.append(event)
+
+    def finished(self, t_ns: int) -> list[PerceptionUpdate]:
+        """Work until `t_ns`; return the estimates that are finished by then."""
+        while self._events and self._busy_until_ns <= t_ns:
+            event = self._events.popleft()
+            updates = self._pipeline.perceive(event)
+            if isinstance(event, LidarScan):
+                self._busy_until_ns = t_ns + self._latency_ns
+            if updates:
+                self._results.append((max(t_ns, self._busy_until_ns), updates))
+        done: list[PerceptionUpdate] = []
+        while self._results and self._results[0][0] <= t_ns:
+            done.extend(self._results.popleft()[1])
+        return done
