@@ -10,7 +10,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from companion.compiled import compiled
+from companion.compiled import compiled, inlined
 from companion.messages import FloatArray, PointArray
 
 EVIDENCE_PER_HIT = 10
@@ -20,7 +20,8 @@ EVIDENCE_OCCUPIED = 20
 EVIDENCE_SUPPORTED = 40
 _RAY_STOPS_SHORT_M = 0.3
 _MAX_COORDINATE_M = 1e6
-_FIXED_ONE = 2.0**32
+_LOWEST_SINE = math.sin(math.radians(-7.0))
+_HIGHEST_SINE = math.sin(math.radians(52.0))
 
 EvidenceArray = NDArray[np.int16]
 ScanArray = NDArray[np.int8]
@@ -111,98 +112,107 @@ def mark_hits(
         sums[ii, jj, 2] += 1.0
 
 
-@compiled(
-    "void(float32[:,::1], int64, int64, float64[::1], int64[::1], float64, float64, float64, float64,"
-    " int8[:,:,::1])"
-)
-def mark_passes(
-    points_map: PointArray,
-    start: int,
-    stride: int,
-    p_map: FloatArray,
-    first: IndexArray,
-    cell: float,
-    layer: float,
-    reach: float,
-    self_radius: float,
-    hits: ScanArray,
-) -> None:
-    """Set voxels that a ray of this scan crossed, and no return hit, to -1.
+@inlined
+def _direction_bin(
+    dx: float, dy: float, dz: float, length: float, rows: int, columns: int
+) -> tuple[int, int]:
+    """Return the row (elevation) and column (azimuth) of a direction, row -1 outside the image.
 
-    Rays are sampled once per voxel size, in fixed point with 32 binary places. A ray ends 0.3 m before its
-    return: the last voxels may hold the same surface.
+    Rows are even in the sine of the elevation, columns in dy / (|dx| + |dy|), which grows with the azimuth
+    and needs no arc tangent.
+    """
+    row = math.floor((dz / length - _LOWEST_SINE) / (_HIGHEST_SINE - _LOWEST_SINE) * rows)
+    if row < 0 or row >= rows:
+        return -1, 0
+    share = dy / max(abs(dx) + abs(dy), 1e-9)
+    if dx < 0.0:
+        turn = 2.0 - share
+    elif dy < 0.0:
+        turn = 4.0 + share
+    else:
+        turn = share
+    return row, min(int(turn / 4.0 * columns), columns - 1)
+
+
+@compiled("void(float32[:,::1], float64[::1], float64, float32[:,::1])")
+def draw_ranges(points_map: PointArray, p_map: FloatArray, self_radius: float, image: FieldArray) -> None:
+    """Draw the nearest return per direction.
 
     Args:
-        points_map: (n, 3) returns; only every `stride`-th from `start` on is used.
-        start: the first of them.
-        stride: their spacing.
-        p_map: where the sensor was; at least `reach` inside the window.
-        first: lowest voxel of the window.
-        cell: horizontal voxel size, m.
-        layer: vertical voxel size, m.
-        reach: horizontal length of a ray at most, m.
-        self_radius: shorter rays are the vehicle itself, m.
-        hits: (n, n, m) the scan's hits, changed in place.
+        points_map: (n, 3) returns, ground included; those not finite are passed over.
+        p_map: where the sensor was.
+        self_radius: returns nearer than this are the vehicle itself, m.
+        image: (rows, columns) result, m; inf without return. Rows span the sensor's field of view.
     """
-    n = hits.shape[0]
-    m = hits.shape[2]
-    flat = hits.reshape(hits.size)
-    mask = np.uint64(n - 1)
-    layer_mask = np.uint64(m - 1)
-    width = np.uint64(n)
-    height = np.uint64(m)
-    places = np.uint64(32)
-    step = min(cell, layer)
-    top = (first[2] + m) * layer
-    bottom = first[2] * layer
-    for index in range(start, points_map.shape[0], stride):
+    rows = image.shape[0]
+    columns = image.shape[1]
+    image[:] = np.inf
+    for index in range(points_map.shape[0]):
         dx = float(points_map[index, 0]) - p_map[0]
         dy = float(points_map[index, 1]) - p_map[1]
         dz = float(points_map[index, 2]) - p_map[2]
         length = math.sqrt(dx * dx + dy * dy + dz * dz)
         if not (self_radius < length < _MAX_COORDINATE_M):
             continue
-        limit = length - _RAY_STOPS_SHORT_M
-        horizontal = math.sqrt(dx * dx + dy * dy) / length
-        if limit * horizontal > reach:
-            limit = reach / horizontal
-        rise = dz / length
-        if rise > 0.0:
-            limit = min(limit, (top - p_map[2]) / rise - step)
-        elif rise < 0.0:
-            limit = min(limit, (bottom - p_map[2]) / rise - step)
-        scale = step / length * _FIXED_ONE
-        step_x = np.uint64(np.int64(dx / cell * scale))
-        step_y = np.uint64(np.int64(dy / cell * scale))
-        step_z = np.uint64(np.int64(dz / layer * scale))
-        u = np.uint64(np.int64(p_map[0] / cell * _FIXED_ONE))
-        v = np.uint64(np.int64(p_map[1] / cell * _FIXED_ONE))
-        w = np.uint64(np.int64(p_map[2] / layer * _FIXED_ONE))
-        for _ in range(int(limit / step)):
-            # Unsigned sums wrap round like the storage does, negative coordinates included.
-            u += step_x
-            v += step_y
-            w += step_z
-            voxel = (((u >> places) & mask) * width + ((v >> places) & mask)) * height + (
-                (w >> places) & layer_mask
-            )
-            if flat[voxel] == 0:
-                flat[voxel] = -1
+        row, column = _direction_bin(dx, dy, dz, length, rows, columns)
+        if row >= 0 and length < image[row, column]:
+            image[row, column] = length
 
 
-@compiled("void(int16[:,:,::1], int8[:,:,::1], int64)")
-def update_evidence(evidence: EvidenceArray, hits: ScanArray, ceiling: int) -> None:
-    """Raise the evidence of hit voxels, lower that of crossed ones, let the rest fade by one."""
-    flat = evidence.reshape(evidence.size)
-    flat_hits = hits.reshape(hits.size)
-    top = np.int16(ceiling)
-    for index in range(flat.size):
-        seen = np.int16(flat_hits[index])
-        if seen > 0:
-            flat[index] = min(np.int16(flat[index] + np.int16(EVIDENCE_PER_HIT) * seen), top)
-        else:
-            loss = np.int16(1) - seen * np.int16(EVIDENCE_PER_PASS - 1)
-            flat[index] = max(np.int16(flat[index] - loss), np.int16(0))
+@compiled(
+    "void(int16[:,:,::1], int8[:,:,::1], float32[:,::1], float64[::1], int64[::1], float64, float64, int64)"
+)
+def update_evidence(
+    evidence: EvidenceArray,
+    hits: ScanArray,
+    image: FieldArray,
+    p_map: FloatArray,
+    first: IndexArray,
+    cell: float,
+    layer: float,
+    ceiling: int,
+) -> None:
+    """Raise the evidence of hit voxels, lower that of voxels that were looked through.
+
+    A voxel whose direction returned only from farther away loses evidence fast; one in whose direction
+    nothing returned at all fades; one that is hidden, or outside the field of view, is remembered. Evidence
+    too weak to count always fades.
+
+    Args:
+        evidence: (n, n, m), changed in place.
+        hits: (n, n, m) this scan's hits.
+        image: nearest return per direction, from `draw_ranges`.
+        p_map: where the sensor was.
+        first: lowest voxel of the window.
+        cell: horizontal voxel size, m.
+        layer: vertical voxel size, m.
+        ceiling: greatest evidence.
+    """
+    n = evidence.shape[0]
+    m = evidence.shape[2]
+    for ii in range(n):
+        dx = (first[0] + ((ii - first[0]) & (n - 1)) + 0.5) * cell - p_map[0]
+        for jj in range(n):
+            dy = (first[1] + ((jj - first[1]) & (n - 1)) + 0.5) * cell - p_map[1]
+            for kk in range(m):
+                seen = int(hits[ii, jj, kk])
+                if seen > 0:
+                    evidence[ii, jj, kk] = min(evidence[ii, jj, kk] + EVIDENCE_PER_HIT * seen, ceiling)
+                    continue
+                present = int(evidence[ii, jj, kk])
+                if present == 0:
+                    continue
+                dz = (first[2] + ((kk - first[2]) & (m - 1)) + 0.5) * layer - p_map[2]
+                length = math.sqrt(dx * dx + dy * dy + dz * dz)
+                row, column = _direction_bin(dx, dy, dz, length, image.shape[0], image.shape[1])
+                loss = 1 if present < EVIDENCE_OCCUPIED else 0
+                if row >= 0:
+                    nearest = image[row, column]
+                    if nearest == math.inf:
+                        loss = 1
+                    elif nearest > length + _RAY_STOPS_SHORT_M:
+                        loss = EVIDENCE_PER_PASS
+                evidence[ii, jj, kk] = max(present - loss, 0)
 
 
 @compiled("void(float32[:,:,::1], float32[:,:,::1])")

@@ -1,7 +1,7 @@
 """What the leader remembers of obstacles: a window of voxels that slides with the vehicle.
 
-Returns raise a voxel's evidence, rays that cross it lower it, time lets it fade. A column is an obstacle
-when an occupied voxel lies in it between the heights that the vehicle is to fly through.
+Returns raise a voxel's evidence, looking through it lowers it. A column is an obstacle when an occupied
+voxel lies in it between the heights that the vehicle is to fly through.
 """
 
 import math
@@ -15,9 +15,10 @@ from companion.control.leader.settings import ObstacleMapSettings
 from companion.messages import FloatArray, RegisteredScan
 
 _CLEARANCE_CAP_M = 3.0
-_MAX_RAYS = 10_000
 _MAX_POINTS = 400_000
 _LAYERS = 16
+_IMAGE_ROWS = 24
+_IMAGE_COLUMNS = 180
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,6 +54,7 @@ class ObstacleMap:
         self._hits = np.zeros((side, side, _LAYERS), np.int8)
         self._sums = np.zeros((side, side, 3), np.float32)
         self._surface = np.zeros((side, side, 2), np.float32)
+        self._image = np.zeros((_IMAGE_ROWS, _IMAGE_COLUMNS), np.float32)
         self._rows = np.zeros((side, side), np.int32)
         self._first = np.zeros(3, np.int64)
         self._ceiling = map_kernels.EVIDENCE_OCCUPIED + settings.memory_scans
@@ -90,12 +92,11 @@ class ObstacleMap:
             points, p_map, self._first, settings.cell_m, settings.layer_m, settings.reach_m,
             settings.self_radius_m, floor_z, self._hits, self._sums,
         )  # fmt: skip
-        stride = max(1, math.ceil(points.shape[0] / _MAX_RAYS))
-        map_kernels.mark_passes(
-            points, scan.sequence % stride, stride, p_map, self._first, settings.cell_m, settings.layer_m,
-            settings.reach_m, settings.self_radius_m, self._hits,
+        map_kernels.draw_ranges(points, p_map, settings.self_radius_m, self._image)
+        map_kernels.update_evidence(
+            self._evidence, self._hits, self._image, p_map, self._first, settings.cell_m, settings.layer_m,
+            self._ceiling,
         )  # fmt: skip
-        map_kernels.update_evidence(self._evidence, self._hits, self._ceiling)
         map_kernels.update_surface(self._surface, self._sums)
         map_kernels.forget_ball(
             self._evidence, p_map, self._first, settings.cell_m, settings.layer_m, settings.self_radius_m

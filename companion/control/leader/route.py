@@ -8,7 +8,7 @@ import numpy as np
 from companion.clock import seconds_to_ns
 from companion.control.leader import rrt_kernels
 from companion.control.leader.obstacle_map import ClearanceField
-from companion.control.leader.rrt import LocalPath, RrtPlanner, SearchStatus
+from companion.control.leader.rrt import NO_PATH, LocalPath, RrtPlanner, SearchStatus
 from companion.control.leader.settings import RrtSettings
 from companion.messages import FloatArray
 
@@ -50,6 +50,8 @@ class Route:
         self._blocked = False
         self._trail = np.zeros((0, 2))
         self._least_distance = math.inf
+        self._progress_ns = 0
+        self._stand_in: FloatArray | None = None
 
     def update(self, field: ClearanceField, p: FloatArray, waypoint: FloatArray, t_ns: int) -> bool:
         """Follow the vehicle along the path and search anew when due.
@@ -74,13 +76,19 @@ class Route:
             self._waypoint = waypoint.copy()
             self._trail = np.zeros((0, 2))
             self._least_distance = math.inf
+            self._stand_in = None
+            self.goal = waypoint.copy()
             self.path = None
         self._searched_ns = t_ns
-        self._note_progress(p)
-        self.goal = self._planner.reachable_goal(field, p, waypoint)
-        local_goal = self._planner.local_goal(field, p, self.goal)
+        self._note_progress(p, t_ns)
+        self.goal = self._reachable_goal(field, p, t_ns)
+        previous = None if self.path is None else self.path.points[-1]
+        local_goal = self._planner.local_goal(field, p, self.goal, self._trail, previous)
         found = self._planner.search(field, p, local_goal, self._trail)
         self.nodes = found.nodes
+        if found.status is SearchStatus.DETOUR and self._is_hopeless(t_ns):
+            found = NO_PATH
+            self.path = None
         kept = self._kept(field, found, cross_track)
         if kept is not None:
             self._adopt(kept, "kept", p)
@@ -198,11 +206,25 @@ class Route:
             clearance - _CLEARANCE_SLACK_M, ends,
         )  # fmt: skip
 
-    def _note_progress(self, p: FloatArray) -> None:
+    def _reachable_goal(self, field: ClearanceField, p: FloatArray, t_ns: int) -> FloatArray:
+        """Return where to stop for the waypoint, after long vain attempts the nearest place reachable."""
+        if self._stand_in is not None and not self._planner.is_free(field, self._stand_in):
+            self._stand_in = None
+        if self._stand_in is None and self._is_hopeless(t_ns):
+            self._stand_in = self._planner.nearest_reachable(field, p, self._waypoint)
+        if self._stand_in is not None:
+            return self._stand_in
+        return self._planner.reachable_goal(field, p, self._waypoint, self.goal)
+
+    def _is_hopeless(self, t_ns: int) -> bool:
+        return t_ns - self._progress_ns > seconds_to_ns(self._settings.patience_s)
+
+    def _note_progress(self, p: FloatArray, t_ns: int) -> None:
         """Remember where the vehicle has been since it last came nearer to the waypoint."""
         distance = float(np.hypot(*(self._waypoint - p)))
         if distance < self._least_distance - _PROGRESS_M:
             self._least_distance = distance
+            self._progress_ns = t_ns
             self._trail = np.zeros((0, 2))
         if self._trail.shape[0] == 0 or np.hypot(*(self._trail[-1] - p)) > _TRAIL_SPACING_M:
             self._trail = np.concatenate([self._trail[-_TRAIL_POINTS + 1 :], p[None, :]])

@@ -4,7 +4,7 @@ Source: S. LaValle, "Rapidly-exploring random trees: a new tool for path plannin
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
@@ -20,8 +20,9 @@ _CIRCLE_STEP = math.radians(5.0)
 _STAND_IN_STEP_M = 0.2
 _STAND_IN_ROOM_M = 0.2
 _DETOUR_SHARE = 0.6
+_CHANGE_OF_MIND = 0.3
 _BEEN_THERE_M = 2.5
-_BEEN_THERE_COST_M = 10.0
+_BEEN_THERE_COST_M = 1.0
 
 
 class SearchStatus(Enum):
@@ -51,6 +52,9 @@ class LocalPath:
     nodes: int
 
 
+NO_PATH = LocalPath(SearchStatus.NO_PATH, np.zeros((0, 2)), 0.0, np.zeros((2, 3)), 0)
+
+
 class RrtPlanner:
     """Finds local paths; equal generators and inputs give equal paths."""
 
@@ -65,41 +69,62 @@ class RrtPlanner:
         """The clearance below which no place is considered, m."""
         return min(self.clearances)
 
-    def reachable_goal(self, field: ClearanceField, start: FloatArray, waypoint: FloatArray) -> FloatArray:
-        """Return where to stop for a waypoint: itself, or the nearest free point if it lies in an obstacle.
+    def reachable_goal(
+        self, field: ClearanceField, start: FloatArray, waypoint: FloatArray, present: FloatArray
+    ) -> FloatArray:
+        """Return where to stop for a waypoint: itself, or a free point near it if it lies in an obstacle.
 
         A waypoint farther than the local radius, or without any free point near it, is returned as is.
+        The `present` goal stays as long as it serves.
         """
         settings = self._settings
         away = float(np.hypot(*(waypoint - start)))
-        if away > settings.local_radius_m or _room(field, waypoint) >= self.least_clearance:
+        if away > settings.local_radius_m or self.is_free(field, waypoint):
             return waypoint
+        if np.hypot(*(waypoint - present)) <= settings.stand_in_distance_m and self.is_free(field, present):
+            return present
         wanted = self.least_clearance + _STAND_IN_ROOM_M
-        for ring in range(1, math.floor(settings.stand_in_distance_m / _STAND_IN_STEP_M) + 1):
-            radius = ring * _STAND_IN_STEP_M
-            angles = np.arange(0.0, 2.0 * np.pi, min(0.5, _STAND_IN_STEP_M / radius))
-            around = waypoint + radius * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-            free = [point for point in around if _room(field, point) >= wanted]
-            if free:
-                distances = [float(np.hypot(*(point - start))) for point in free]
-                return np.asarray(free[int(np.argmin(distances))])
-        return waypoint
+        best, least = waypoint, math.inf
+        for radius in np.arange(_STAND_IN_STEP_M, settings.stand_in_distance_m + 1e-9, _STAND_IN_STEP_M):
+            for angle in np.arange(0.0, 2.0 * np.pi, min(0.5, _STAND_IN_STEP_M / radius)):
+                point = waypoint + radius * np.array([math.cos(angle), math.sin(angle)])
+                # Twice the offset: near the waypoint, and on this side of the obstacle when that is equal.
+                cost = 2.0 * radius + float(np.hypot(*(point - start)))
+                if cost < least and _room(field, point) >= wanted:
+                    best, least = point, cost
+        return best
 
-    def local_goal(self, field: ClearanceField, start: FloatArray, goal: FloatArray) -> FloatArray:
-        """Return the goal if it is near, else the free point of the local circle nearest to its direction."""
+    def is_free(self, field: ClearanceField, point: FloatArray) -> bool:
+        """Whether the vehicle may be at a point (2,) at all."""
+        return _room(field, point) >= self.least_clearance
+
+    def local_goal(
+        self,
+        field: ClearanceField,
+        start: FloatArray,
+        goal: FloatArray,
+        visited: FloatArray,
+        previous: FloatArray | None,
+    ) -> FloatArray:
+        """Return the goal if it is near, else the best free point of the local circle.
+
+        That is the one nearest to the goal; where the vehicle has been in vain counts as farther away, and
+        so does a change of mind: points far from the `previous` local goal (2,), if any.
+        """
         radius = self._settings.local_radius_m
         offset = goal - start
         if float(np.hypot(*offset)) <= radius:
             return goal
-        bearing = math.atan2(offset[1], offset[0])
+        angles = math.atan2(offset[1], offset[0]) + np.arange(0.0, 2.0 * np.pi, _CIRCLE_STEP)
+        circle = start + radius * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+        rooms = np.array([_room(field, point) for point in circle])
+        cost = _cost_to_go(circle, goal, visited)
+        if previous is not None:
+            cost = cost + _CHANGE_OF_MIND * np.hypot(*(circle - previous).T)
         for wanted in (self.clearances[0], self.least_clearance):
-            for index in range(37):
-                turn = (index + 1) // 2 * _CIRCLE_STEP * (1.0 if index % 2 else -1.0)
-                angle = bearing + turn
-                point = start + radius * np.array([math.cos(angle), math.sin(angle)])
-                if _room(field, point) >= wanted:
-                    return point
-        return start + radius * np.array([math.cos(bearing), math.sin(bearing)])
+            if np.any(rooms >= wanted):
+                return np.asarray(circle[np.argmin(np.where(rooms >= wanted, cost, np.inf))])
+        return np.asarray(circle[0])
 
     def search(
         self, field: ClearanceField, start: FloatArray, goal: FloatArray, visited: FloatArray
@@ -135,7 +160,17 @@ class RrtPlanner:
                     detour = LocalPath(SearchStatus.DETOUR, points, clearance, ends, nodes)
         if detour is not None:
             return detour
-        return LocalPath(SearchStatus.NO_PATH, np.zeros((0, 2)), 0.0, np.zeros((2, 3)), nodes)
+        return replace(NO_PATH, nodes=nodes)
+
+    def nearest_reachable(
+        self, field: ClearanceField, start: FloatArray, goal: FloatArray
+    ) -> FloatArray | None:
+        """Return the place nearest to a goal (2,) that a tree reaches; None if that is too far from it."""
+        ends = np.array([[*start, self._granted(field, start)], [*goal, -np.inf]])
+        tree, _, _ = self._tree(field, self.least_clearance, ends)
+        gaps = np.hypot(*(tree - goal).T)
+        nearest = int(np.argmin(gaps))
+        return tree[nearest].copy() if gaps[nearest] <= self._settings.stand_in_distance_m else None
 
     def _granted(self, field: ClearanceField, point: FloatArray) -> float:
         return _room(field, point) - _GRANTED_SLACK_M
@@ -157,10 +192,7 @@ class RrtPlanner:
     def _best_leaf(self, tree: FloatArray, goal: FloatArray, visited: FloatArray) -> int:
         """Return the node well away from the start that is best to go on from, 0 if there is none."""
         away = np.hypot(*(tree - tree[0]).T)
-        cost = np.hypot(*(tree - goal).T)
-        if visited.shape[0]:
-            gaps = np.hypot(*(tree[:, None, :] - visited[None, :, :]).transpose(2, 0, 1)).min(axis=1)
-            cost = cost + np.where(gaps < _BEEN_THERE_M, _BEEN_THERE_COST_M, 0.0)
+        cost = _cost_to_go(tree, goal, visited)
         cost[away < _DETOUR_SHARE * self._settings.local_radius_m] = np.inf
         best = int(np.argmin(cost))
         return best if np.isfinite(cost[best]) else 0
@@ -183,6 +215,13 @@ def _branch(tree: FloatArray, parents: np.ndarray[tuple[int], np.dtype[np.int64]
     while parents[order[-1]] >= 0:
         order.append(int(parents[order[-1]]))
     return tree[order[::-1]].copy()
+
+
+def _cost_to_go(points: FloatArray, goal: FloatArray, visited: FloatArray) -> FloatArray:
+    """Distances (n,) to the goal, plus a metre for every time the vehicle has been near a point in vain."""
+    gaps = np.hypot(*(points[:, None, :] - visited[None, :, :]).transpose(2, 0, 1))
+    visits = np.count_nonzero(gaps < _BEEN_THERE_M, axis=1)
+    return np.asarray(np.hypot(*(points - goal).T) + _BEEN_THERE_COST_M * visits)
 
 
 def _room(field: ClearanceField, point: FloatArray) -> float:

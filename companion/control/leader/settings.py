@@ -66,7 +66,7 @@ class ObstacleMapSettings(Settings):
     self_radius_m: float = Field(default=0.35, ge=0.0, le=2.0)
     """Returns nearer to the body's origin than this are the vehicle itself."""
     memory_scans: int = Field(default=100, ge=1, le=10_000)
-    """Scans after which a well-seen cell that nobody hits any more is forgotten."""
+    """Scans after which an obstacle is forgotten when nothing at all returns from its direction any more."""
 
 
 class RrtSettings(Settings):
@@ -100,8 +100,11 @@ class RrtSettings(Settings):
     """Distance from the path beyond which it is replaced at once."""
     keep_ratio: float = Field(default=1.1, ge=1.0, le=10.0)
     """The present path stays while it is at most this much longer than a new one."""
+    patience_s: float = Field(default=60.0, gt=0.0, le=3600.0)
+    """After this long without coming nearer to a waypoint the vehicle makes no more detours: it stops at the
+    nearest place it can reach if that is near the waypoint (see `stand_in_distance_m`), else it holds."""
     stand_in_distance_m: float = Field(default=3.0, ge=0.0, le=10.0)
-    """A waypoint inside an obstacle is replaced by the nearest free point up to this far away."""
+    """A waypoint in an obstacle is replaced by the best free point up to this far away."""
 
 
 class PotentialFieldSettings(Settings):
