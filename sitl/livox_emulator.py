@@ -27,6 +27,8 @@ from sitl.livox_parameters import PUSH_KEYS
 from sitl.livox_stream import encode_inertial, encode_points
 from sitl.slots import SLOT_PERIOD_NS, SLOTS_PER_PACKET, InertialSlot, PointSlots
 
+__all__ = ["LivoxEmulator", "LivoxEmulatorSettings"]
+
 PUSH_PERIOD_NS = 1_000_000_000
 PACKET_PERIOD_NS = SLOTS_PER_PACKET * SLOT_PERIOD_NS
 _MAX_BODY_SIZE = protocol.MAX_FRAME_SIZE - protocol.FRAME_HEADER_SIZE

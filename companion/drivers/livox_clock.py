@@ -41,11 +41,6 @@ class ClockOffsetEstimator:
         return self._offset_ns
 
     @property
-    def valid(self) -> bool:
-        """Whether there has been a sample since the last restart."""
-        return self._t_start_ns is not None
-
-    @property
     def settled(self) -> bool:
         """Whether the offset has left its first second, in which it still follows the minimum freely."""
         return self._t_start_ns is not None and self._t_last_ns - self._t_start_ns >= ACQUISITION_NS

@@ -39,7 +39,7 @@ class LossAccount:
     def __init__(self, period_ns: int) -> None:
         """Start for a stream with one packet every `period_ns` nanoseconds."""
         self._period_ns = period_ns
-        self._seen_ns = [-1] * _REMEMBERED
+        self._seen = [-1] * _REMEMBERED
         self._last_ns: int | None = None
         self._last_counter = 0
         self.epoch = 0
@@ -61,7 +61,8 @@ class LossAccount:
         if self._last_ns is None:
             return self._accept(counter, t_sensor_ns, epoch, Arrival.IN_ORDER)
         place = t_sensor_ns // self._period_ns % _REMEMBERED
-        if self._seen_ns[place] == t_sensor_ns and epoch == self.epoch:
+        identity = t_sensor_ns * COUNTER_RANGE + counter
+        if self._seen[place] == identity and epoch == self.epoch:
             self.duplicates += 1
             return Arrival.DUPLICATE
         step = (counter - self._last_counter) % COUNTER_RANGE
@@ -75,7 +76,7 @@ class LossAccount:
             self.received += 1
             self.reordered += 1
             self.lost = max(0, self.lost - 1)
-            self._seen_ns[place] = t_sensor_ns
+            self._seen[place] = identity
             return Arrival.LATE
         by_counter = step - 1 if 1 <= step <= MAX_COUNTER_GAP + 1 else 0
         by_time = (elapsed_ns + self._period_ns // 2) // self._period_ns - 1
@@ -85,7 +86,7 @@ class LossAccount:
 
     def _jump(self, counter: int, t_sensor_ns: int, epoch: int) -> Arrival:
         self.jumps += 1
-        self._seen_ns = [-1] * _REMEMBERED
+        self._seen = [-1] * _REMEMBERED
         return self._accept(counter, t_sensor_ns, epoch, Arrival.JUMP)
 
     def _accept(self, counter: int, t_sensor_ns: int, epoch: int, arrival: Arrival) -> Arrival:
@@ -93,5 +94,6 @@ class LossAccount:
         self._last_ns = t_sensor_ns
         self._last_counter = counter
         self.epoch = epoch
-        self._seen_ns[t_sensor_ns // self._period_ns % _REMEMBERED] = t_sensor_ns
+        place = t_sensor_ns // self._period_ns % _REMEMBERED
+        self._seen[place] = t_sensor_ns * COUNTER_RANGE + counter
         return arrival
