@@ -172,7 +172,9 @@ def check(
         from companion.directories import Directories
         from companion.preflight.check import is_go
         from companion.preflight.table import print_table, run_checks
+        from companion.service import write_logs_to_stderr
 
+        write_logs_to_stderr()
         directories = Directories.resolve(os.environ, settings.vehicle.name)
         checks = run_checks(settings, profile, directories, SystemClock(), offline=offline)
         go = is_go(checks)

@@ -1,6 +1,6 @@
 """One line of the go/no-go table."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass
 from typing import Literal
 
@@ -28,12 +28,13 @@ class Check:
         return {name: str(value) for name, value in asdict(self).items()}
 
 
-def guarded(name: str, look: Callable[[], Check]) -> Check:
-    """Run one check; an error on purpose, or of the system, is its failure."""
+def guarded(name: str, look: Callable[[], Check | Sequence[Check]]) -> list[Check]:
+    """Run one look; an error on purpose, or of the system, is the failure of what it is named after."""
     try:
-        return look()
+        found = look()
     except (CompanionError, OSError) as error:
-        return Check(name, "fail", " ".join(str(error).split()))
+        return [Check(name, "fail", " ".join(str(error).split()))]
+    return [found] if isinstance(found, Check) else list(found)
 
 
 def is_go(checks: Iterable[Check]) -> bool:

@@ -1,14 +1,17 @@
 """All checks in the order in which a person would work through them, and the table they make."""
 
-from collections.abc import Iterable
+import asyncio
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 from companion.clock import SystemClock
 from companion.config import Profile
 from companion.directories import Directories
 from companion.kernel_cache import load_kernels
-from companion.preflight import hardware, host
+from companion.preflight import host
 from companion.preflight.check import Check, guarded, is_go
+
+HARDWARE = ("LiDAR network", "LiDAR", "autopilot")
 
 
 def run_checks(
@@ -26,21 +29,35 @@ def run_checks(
     Returns:
         The checks in the order in which a person would work through them.
     """
-    checks = [
-        Check("profile", "ok", f"{profile_path}: {profile.vehicle.name}, {profile.role}"),
-        host.check_python(),
-        host.check_packages(),
-        guarded("kernels", lambda: host.check_kernels(clock, load_kernels)),
-        host.check_calendar(clock.calendar_ns()),
-        guarded("log folder", lambda: host.check_log_folder(directories.logs)),
-        guarded("disk", lambda: host.check_disk(directories.logs)),
-        host.check_receive_buffer(profile.lidar.receive_buffer_bytes),
-        host.check_core_files(),
-        guarded("single instance", lambda: host.check_single_instance(directories.runtime)),
+    looks: list[tuple[str, Callable[[], Check | Sequence[Check]]]] = [
+        (
+            "profile",
+            lambda: Check("profile", "ok", f"{profile_path}: {profile.vehicle.name}, {profile.role}"),
+        ),
+        ("python", host.check_python),
+        ("packages", host.check_packages),
+        ("kernels", lambda: host.check_kernels(clock, load_kernels)),
+        ("clock", lambda: host.check_calendar(clock.calendar_ns())),
+        ("log folder", lambda: host.check_log_folder(directories.logs)),
+        ("disk", lambda: host.check_disk(directories.logs)),
+        ("receive buffer", lambda: host.check_receive_buffer(profile.lidar.receive_buffer_bytes)),
+        ("core files", host.check_core_files),
+        ("single instance", lambda: host.check_single_instance(directories.runtime)),
     ]
-    for name, look in hardware.looks(profile, clock):
-        checks.append(Check(name, "skipped", "offline") if offline else guarded(name, look))
-    return checks
+    if offline:
+        skipped = [Check(name, "skipped", "offline") for name in HARDWARE]
+        return [check for name, look in looks for check in guarded(name, look)] + skipped
+
+    # The drivers take a second to import; offline nothing needs them.
+    from companion.preflight.autopilot import check_autopilot
+    from companion.preflight.lidar import STREAM_TIMEOUT_S, check_lidar, check_lidar_network
+
+    looks += [
+        ("LiDAR network", lambda: check_lidar_network(profile.lidar)),
+        ("LiDAR", lambda: asyncio.run(check_lidar(profile.lidar, clock, STREAM_TIMEOUT_S))),
+        ("autopilot", lambda: asyncio.run(check_autopilot(profile, clock))),
+    ]
+    return [check for name, look in looks for check in guarded(name, look)]
 
 
 def print_table(checks: Iterable[Check], vehicle: str) -> None:

@@ -1,27 +1,16 @@
-"""Preflight checks that need the LiDAR's network, the LiDAR or the autopilot."""
+"""Preflight checks of the LiDAR and of the network between it and this computer."""
 
-import asyncio
 import ipaddress
-from collections.abc import Callable
 
 from companion.clock import SystemClock
-from companion.config import Profile
 from companion.drivers.livox import LivoxDriver
 from companion.drivers.livox_endpoints import open_endpoints, resolve_host_ip
 from companion.drivers.livox_health import describe_hms
 from companion.drivers.livox_settings import LivoxSettings
 from companion.preflight.check import Check
 
-LIDAR_TIMEOUT_S = 8.0
+STREAM_TIMEOUT_S = 8.0
 _NETWORK_BITS = 24  # the Mid-360 leaves the factory with the mask 255.255.255.0
-
-
-def looks(profile: Profile, clock: SystemClock) -> list[tuple[str, Callable[[], Check]]]:
-    """Return the name and the action of every check that needs hardware, in order."""
-    return [
-        ("LiDAR network", lambda: check_lidar_network(profile.lidar)),
-        ("LiDAR", lambda: asyncio.run(check_lidar(profile.lidar, clock, LIDAR_TIMEOUT_S))),
-    ]
 
 
 def check_lidar_network(settings: LivoxSettings) -> Check:
