@@ -25,7 +25,7 @@ class LogEntry:
 
 
 class LogQueue:
-    """Entries wait here for the writer; any thread may offer, one thread drains.
+    """Entries wait here for the writer; any thread may offer, one thread takes.
 
     Attributes:
         dropped, dropped_bulk: entries refused because the queue was full, without and with bulk.

@@ -95,7 +95,7 @@ class FlightLog:
     and flushed by their own time, so equal messages give equal bytes.
 
     A disk that is full, read-only or missing ends the recording, not the flight: see `status`.
-    Messages handed over must not be changed afterwards.
+    Any thread may record. Messages handed over must not be changed afterwards.
     """
 
     def __init__(
@@ -128,6 +128,8 @@ class FlightLog:
             if not on
         }
         self._sequences: defaultdict[str, int] = defaultdict(int)
+        # Datagrams come from the LiDAR's thread, events from the one that decides.
+        self._lock = threading.RLock()
         self._batch: list[Datagram] = []
         self._batch_span_ns = round(settings.batch_ms * 1e6)
         self._cloud_period_ns = round(NANOSECONDS_PER_SECOND / settings.cloud_rate_hz)
@@ -135,6 +137,7 @@ class FlightLog:
         self._flushed_ns: int | None = None
         self._disk_low = False
         self._unencodable = 0
+        self._path = path
         self._queue = LogQueue(settings.queue_mib * _MIB)
         self._file = LogFile(
             path,
@@ -148,6 +151,11 @@ class FlightLog:
         if threaded:
             self._thread = threading.Thread(target=self._run, name="flight-log", daemon=True)
             self._thread.start()
+
+    @property
+    def path(self) -> Path:
+        """Name of the log once it is closed."""
+        return self._path
 
     def record(self, message: Recordable | Datagram, t_ns: int) -> None:
         """Record a message on the channels where its kind belongs.
@@ -182,11 +190,12 @@ class FlightLog:
             TypeError, ValueError, AttributeError: if it does not fit the channel (a threaded log counts
                 such messages instead).
         """
-        if channel.journal:
-            # Raw data that came before an event stands before it in the file.
-            self._end_batch(t_ns)
-        if channel.topic not in self._off:
-            self._hand_over(channel, message, t_ns)
+        with self._lock:
+            if channel.journal:
+                # Raw data that came before an event stands before it in the file.
+                self._end_batch(t_ns)
+            if channel.topic not in self._off:
+                self._hand_over(channel, message, t_ns)
 
     def status(self) -> LogStatus:
         """Return how the recording goes."""
@@ -207,8 +216,9 @@ class FlightLog:
 
     def close(self) -> None:
         """Write what waits, complete the file and rename it; safe to call twice."""
-        if self._batch:
-            self._end_batch(self._batch[-1].t_ns)
+        with self._lock:
+            if self._batch:
+                self._end_batch(self._batch[-1].t_ns)
         if self._thread is None:
             self._file.close()
             return
@@ -220,10 +230,11 @@ class FlightLog:
     def _add_to_batch(self, datagram: Datagram, t_ns: int) -> None:
         if channels.LIDAR_PACKETS.topic in self._off:
             return
-        batch = self._batch
-        batch.append(datagram)
-        if t_ns - batch[0].t_ns >= self._batch_span_ns or len(batch) >= _DATAGRAMS_PER_BATCH_MAX:
-            self._end_batch(t_ns)
+        with self._lock:
+            self._batch.append(datagram)
+            span_ns = t_ns - self._batch[0].t_ns
+            if span_ns >= self._batch_span_ns or len(self._batch) >= _DATAGRAMS_PER_BATCH_MAX:
+                self._end_batch(t_ns)
 
     def _end_batch(self, t_ns: int) -> None:
         if self._batch:
