@@ -195,6 +195,27 @@ def test_a_full_queue_refuses_bulk_first() -> None:
     assert queue.offer(bulk, 1000)
 
 
+def test_two_threads_may_record_at_once_and_nothing_is_lost(tmp_path: Path) -> None:
+    log = FlightLog(tmp_path / "a.mcap", SETTINGS, METADATA, threaded=True)
+    packets = [datagram(index * 100_000, size=20) for index in range(5000)]
+
+    def receive() -> None:
+        for packet in packets:
+            log.record(packet, packet.t_ns)
+
+    receiver = threading.Thread(target=receive)
+    receiver.start()
+    for index in range(2000):
+        log.record(Tick(index), index)
+    receiver.join()
+    log.close()
+    recording = FlightRecording(tmp_path / "a.mcap")
+    batches = [entry.message for entry in recording.messages(channels.LIDAR_PACKETS)]
+    assert [one for batch in batches for one in batch] == packets  # type: ignore[attr-defined]
+    assert [entry.message for entry in recording.messages(channels.TICK)] == [Tick(i) for i in range(2000)]
+    assert recording.integrity().missing == {}
+
+
 def test_while_the_disk_hangs_control_goes_on_and_only_bulk_is_lost(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
