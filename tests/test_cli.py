@@ -34,6 +34,12 @@ def good(tmp_path: Path) -> Path:
     return path
 
 
+@pytest.fixture(autouse=True)
+def logging_as_it_was(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Keep the commands from pointing the test process's log at a stream that is closed afterwards."""
+    monkeypatch.setattr("companion.service.write_logs_to_stderr", lambda: None)
+
+
 def process(*arguments: str) -> "subprocess.CompletedProcess[str]":
     command = [sys.executable, "-m", "companion.cli", *arguments]
     return subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
@@ -246,7 +252,6 @@ class TestFly:
             return runtime.FlightOutcome(FlightState.STANDBY, reason, Path("/log/uav1.mcap"))
 
         monkeypatch.setattr(flight, "run_flight", run_flight)
-        monkeypatch.setattr("companion.service.write_logs_to_stderr", lambda: None)
         assert main(["fly", str(good), "--log-directory", "/log"]) == code
         assert capsys.readouterr().out == f"standby: {reason}; log /log/uav1.mcap\n"
         assert seen == [("uav1", Path("/log"))]

@@ -1,6 +1,7 @@
 """Readiness, proof of life and an orderly end, against real sockets and signals."""
 
 import asyncio
+import json
 import os
 import signal
 import socket
@@ -9,6 +10,7 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
+import structlog
 
 from companion.clock import SystemClock
 from companion.directories import BusyError, Directories
@@ -19,6 +21,7 @@ from companion.service import (
     StopSignal,
     open_service,
     watchdog_interval_ns,
+    write_logs_to_stderr,
 )
 
 MILLISECOND_NS = 1_000_000
@@ -199,3 +202,15 @@ def test_an_open_service_is_alone_and_says_when_it_ends(manager: Manager, tmp_pa
         with open_service({**environ, "NOTIFY_SOCKET": ""}, "uav2"):
             pass
     assert manager.received() == ["READY=1", "STATUS=standby", "STOPPING=1"]
+
+
+def test_log_lines_for_the_journal_are_json_on_the_error_output(capsys: pytest.CaptureFixture[str]) -> None:
+    write_logs_to_stderr()
+    try:
+        structlog.get_logger().warning("link lost", age_ms=300)
+    finally:
+        structlog.reset_defaults()
+    out, err = capsys.readouterr()
+    assert out == ""
+    line = json.loads(err)
+    assert (line["event"], line["level"], line["age_ms"]) == ("link lost", "warning", 300)
