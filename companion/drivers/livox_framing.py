@@ -179,7 +179,8 @@ class LivoxReceiver:
         """Account for a packet in one stream and in the clock that both streams share."""
         t_sent_ns = header.t_sensor_ns + header.span_ns
         self._clock.update(t_ns, t_sent_ns)
-        arrival = account.observe(header.counter, header.t_sensor_ns, self._clock.restarts)
+        lateness_ns = t_ns - t_sent_ns - self._clock.offset_ns
+        arrival = account.observe(header.counter, header.t_sensor_ns, self._clock.restarts, lateness_ns)
         if arrival is Arrival.JUMP:
             self._clock.declare_restart(t_ns, t_sent_ns)
             account.epoch = self._clock.restarts

@@ -13,6 +13,7 @@ MAX_COUNTER_GAP = 1023
 MAX_LATENESS_NS = seconds_to_ns(0.5)
 # A forward gap this long is no longer explained by this stream alone; it is counted as an outage.
 OUTAGE_NS = seconds_to_ns(0.5)
+SUSPICIOUS_LATENESS_NS = seconds_to_ns(0.05)
 _REMEMBERED = 1024
 
 
@@ -50,13 +51,14 @@ class LossAccount:
         self.jumps = 0
         self.outages = 0
 
-    def observe(self, counter: int, t_sensor_ns: int, epoch: int) -> Arrival:
+    def observe(self, counter: int, t_sensor_ns: int, epoch: int, lateness_ns: int = 0) -> Arrival:
         """Account for one packet.
 
         Args:
             counter: the packet's counter, 16 bits.
             t_sensor_ns: its stamp.
             epoch: number of restarts of the sensor's clock known so far.
+            lateness_ns: by how much it came later than the clock's offset makes expect.
         """
         if self._last_ns is None:
             return self._accept(counter, t_sensor_ns, epoch, Arrival.IN_ORDER)
@@ -78,8 +80,12 @@ class LossAccount:
             self.lost = max(0, self.lost - 1)
             self._seen[place] = identity
             return Arrival.LATE
-        by_counter = step - 1 if 1 <= step <= MAX_COUNTER_GAP + 1 else 0
+        by_counter = step - 1 if 1 <= step <= MAX_COUNTER_GAP else 0
         by_time = (elapsed_ns + self._period_ns // 2) // self._period_ns - 1
+        counter_restarted = not 1 <= step <= MAX_COUNTER_GAP and step != (by_time + 1) % COUNTER_RANGE
+        if counter_restarted and lateness_ns > SUSPICIOUS_LATENESS_NS:
+            # The sensor lost power, and its new stamps happen to lie ahead of its old ones.
+            return self._jump(counter, t_sensor_ns, epoch)
         self.lost += max(by_counter, by_time, 0)
         self.outages += elapsed_ns > OUTAGE_NS
         return self._accept(counter, t_sensor_ns, epoch, Arrival.IN_ORDER)

@@ -191,6 +191,16 @@ def test_a_restart_from_zero_is_followed_at_once() -> None:
     assert receiver.statistics().clock_restarts == 1
 
 
+def test_a_restart_whose_stamps_lie_ahead_of_the_old_ones_is_noticed() -> None:
+    receiver = LivoxReceiver(SETTINGS)
+    received(receiver, packet_stream(1_100, counter=0))
+    power_off_ns = 1_000_000_000
+    restarted = packet_stream(420, first_packet=1_100, counter=-1_100)
+    found = scans(receiver, [replace(d, t_ns=d.t_ns + power_off_ns) for d in restarted])
+    assert abs(found[-1].clock_offset_ns - OFFSET_NS - power_off_ns) < 10_000
+    assert receiver.statistics().clock_restarts == 1
+
+
 def test_datagrams_from_elsewhere_are_counted_and_ignored() -> None:
     receiver = LivoxReceiver(SETTINGS)
     good = packet_stream(1)[0]

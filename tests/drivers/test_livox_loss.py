@@ -74,3 +74,15 @@ def test_a_sender_that_stops_its_counter_is_found_out_by_its_stamps() -> None:
     account.observe(5, T0_NS, 0)
     account.observe(6, T0_NS + 11 * PERIOD_NS, 0)
     assert account.lost == 10
+
+
+def test_a_restarted_counter_with_stamps_ahead_is_a_jump_only_if_the_packet_does_not_fit_the_clock() -> None:
+    account, _ = fed(list(range(10)))
+    assert account.observe(7_000, T0_NS + 12 * PERIOD_NS, 0, lateness_ns=1_000) is Arrival.IN_ORDER
+    assert account.lost == 2
+    assert account.observe(0, T0_NS + 20 * PERIOD_NS, 0, lateness_ns=900_000_000) is Arrival.JUMP
+    assert (account.lost, account.jumps) == (2, 1)
+    # A long outage leaves the counter where its stamps say, so it is a loss however late the packet is.
+    gap = 5_000
+    assert account.observe(gap + 1, T0_NS + (21 + gap) * PERIOD_NS, 0, 900_000_000) is Arrival.IN_ORDER
+    assert account.lost == 2 + gap
