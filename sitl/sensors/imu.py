@@ -72,10 +72,15 @@ def true_inertial(start: Kinematics, end: Kinematics, step_s: float, T_body_imu:
     the samples with mid-step attitudes reproduces attitude and velocity.
     """
     inertial = np.empty(6)
-    average_inertial(
-        step_s, start.v_world, start.q_world_body, start.omega_body,
-        end.v_world, end.q_world_body, end.omega_body, T_body_imu.p, T_body_imu.q, inertial,
+    # The kernel is compiled for one array layout, so every input is brought into it.
+    v_start, q_start, omega_start, v_end, q_end, omega_end, p_imu, q_imu = (
+        np.require(vector, np.float64, ["C", "W"])
+        for vector in (
+            start.v_world, start.q_world_body, start.omega_body,
+            end.v_world, end.q_world_body, end.omega_body, T_body_imu.p, T_body_imu.q,
+        )
     )  # fmt: skip
+    average_inertial(step_s, v_start, q_start, omega_start, v_end, q_end, omega_end, p_imu, q_imu, inertial)
     return inertial
 
 

@@ -119,7 +119,7 @@ class Mid360Model:
             self._seed,
             first_slot,
             math.radians(self._settings.beam_half_width_deg),
-            np.ascontiguousarray(trajectory.t_sensor_ns, dtype=np.int64),
+            np.require(trajectory.t_sensor_ns, np.int64, ["C", "W"]),
             np.ascontiguousarray(trajectory.p_world + rotation.rotate(q_world_body, self._T_body_lidar.p)),
             rotation.multiply(q_world_body, self._T_body_lidar.q),
             directions_lidar,

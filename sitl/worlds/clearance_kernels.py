@@ -101,11 +101,11 @@ def find_contacts(
         fractions[i] = math.inf
         travelled = 0.0
         while True:
-            f = min(travelled / length, 1.0) if length > 0.0 else 1.0
+            f = min(travelled / length, 1.0) if length > 0.0 else 0.0
             free = nearest_primitive(kinds, rows, discs, sx + f * dx, sy + f * dy, sz + f * dz)[0] - radius
             if free <= 0.0:
                 fractions[i] = f
                 break
-            if f >= 1.0:
+            if travelled >= length:
                 break
             travelled += max(free, tolerance)

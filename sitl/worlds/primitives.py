@@ -122,6 +122,11 @@ def _row_of(primitive: Ground | Sphere | Cylinder | Capsule | Box) -> tuple[int,
     return kind, (x, y, z, ux, uy, uz, length, primitive.radius_m), (mx, my, reach)
 
 
+def _for_kernel(vectors: ArrayLike) -> FloatArray:
+    """Return the one array layout the kernels are compiled for."""
+    return np.require(vectors, np.float64, ["C", "W"])
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Hits:
     """Nearest hits of n rays.
@@ -206,13 +211,13 @@ class World:
 
     def cast(self, origins_world: ArrayLike, directions_world: ArrayLike, max_range_m: float) -> Hits:
         """Return the nearest hits of rays from origins (n, 3) along unit directions (n, 3)."""
-        origins = np.ascontiguousarray(origins_world, dtype=np.float64)
-        directions = np.ascontiguousarray(directions_world, dtype=np.float64)
+        origins = _for_kernel(origins_world)
+        directions = _for_kernel(directions_world)
         if origins.shape != directions.shape or origins.ndim != 2 or origins.shape[1] != 3:
             raise ValueError(f"origins {origins.shape} and directions {directions.shape} must both be (n, 3)")
         hits = Hits(np.empty(len(origins)), np.empty(len(origins), np.int32), np.empty(len(origins)))
         cast_rays(
-            origins, directions, self.kinds, self.rows, self.discs, max_range_m,
+            origins, directions, self.kinds, self.rows, self.discs, float(max_range_m),
             hits.ranges, hits.indices, hits.cosines,
         )  # fmt: skip
         return hits
@@ -220,7 +225,7 @@ class World:
     def clearance(self, points_world: ArrayLike) -> FloatArray:
         """Return the signed distance (...) from points (..., 3) to the nearest surface, negative inside."""
         points = np.asarray(points_world, dtype=np.float64)
-        flat = np.ascontiguousarray(points.reshape(-1, 3))
+        flat = _for_kernel(points.reshape(-1, 3))
         distances, indices = np.empty(len(flat)), np.empty(len(flat), np.int32)
         measure_clearances(flat, self.kinds, self.rows, self.discs, distances, indices)
         return distances.reshape(points.shape[:-1])
@@ -237,7 +242,7 @@ class World:
         )
         fractions = np.empty(starts[..., 0].size)
         find_contacts(
-            np.ascontiguousarray(starts.reshape(-1, 3)), np.ascontiguousarray(ends.reshape(-1, 3)),
-            radius_m, _CONTACT_TOLERANCE_M, self.kinds, self.rows, self.discs, fractions,
+            _for_kernel(starts.reshape(-1, 3)), _for_kernel(ends.reshape(-1, 3)),
+            float(radius_m), _CONTACT_TOLERANCE_M, self.kinds, self.rows, self.discs, fractions,
         )  # fmt: skip
         return fractions.reshape(starts.shape[:-1])
