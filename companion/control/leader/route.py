@@ -16,6 +16,8 @@ _CLEARANCE_SLACK_M = 0.15
 _BACKWARD_M = 0.5
 _FORWARD_M = 3.0
 _NEARLY_OVER_M = 1.0
+_WINDING = 1.5
+_MUCH_SHORTER = 0.5
 _TRAIL_SPACING_M = 1.0
 _TRAIL_POINTS = 256
 _PROGRESS_M = 1.0
@@ -48,6 +50,7 @@ class Route:
         self._searched_ns: int | None = None
         self._field: ClearanceField | None = None
         self._blocked = False
+        self._winding = False
         self._trail = np.zeros((0, 2))
         self._least_distance = math.inf
         self._progress_ns = 0
@@ -86,7 +89,8 @@ class Route:
         local_goal = self._planner.local_goal(field, p, self.goal, self._trail, previous)
         found = self._planner.search(field, p, local_goal, self._trail)
         self.nodes = found.nodes
-        if found.status is SearchStatus.DETOUR and self._is_hopeless(t_ns):
+        # Even a path to the goal is vain when following such paths brought it no nearer for that long.
+        if self._is_hopeless(t_ns, 2) or (self._is_hopeless(t_ns) and not _ends_at(found, self.goal)):
             found = NO_PATH
             self.path = None
         kept = self._kept(field, found, cross_track)
@@ -97,6 +101,9 @@ class Route:
             self.status = "no path"
         else:
             self._adopt(found, "planned", p)
+            # The way out of a dead end looks worse than staying in it, so it is flown to its end.
+            chord = float(np.hypot(*(found.points[-1] - found.points[0])))
+            self._winding = _length(found.points) > _WINDING * chord
         self._blocked = False
         return True
 
@@ -164,6 +171,8 @@ class Route:
         if not self._is_free(field, math.inf):
             return None
         rest = self._rest(path.points)
+        if self._winding and _length(rest) > _NEARLY_OVER_M and not self._is_much_shorter(found, rest):
+            return replace(path, points=rest)
         if found.status is not SearchStatus.REACHED:
             return replace(path, points=rest) if _length(rest) > _NEARLY_OVER_M else None
         if path.status is not SearchStatus.REACHED or path.clearance < found.clearance:
@@ -179,6 +188,11 @@ class Route:
         if _length(candidate) > self._settings.keep_ratio * _length(found.points):
             return None
         return replace(path, points=candidate, ends=ends)
+
+    def _is_much_shorter(self, found: LocalPath, rest: FloatArray) -> bool:
+        if found.status is not SearchStatus.REACHED:
+            return False
+        return _length(found.points) < _MUCH_SHORTER * _length(rest)
 
     def _rest(self, points: FloatArray) -> FloatArray:
         """Return the part of the path past the vehicle's nearest point, that point first."""
@@ -216,8 +230,8 @@ class Route:
             return self._stand_in
         return self._planner.reachable_goal(field, p, self._waypoint, self.goal)
 
-    def _is_hopeless(self, t_ns: int) -> bool:
-        return t_ns - self._progress_ns > seconds_to_ns(self._settings.patience_s)
+    def _is_hopeless(self, t_ns: int, times: int = 1) -> bool:
+        return t_ns - self._progress_ns > times * seconds_to_ns(self._settings.patience_s)
 
     def _note_progress(self, p: FloatArray, t_ns: int) -> None:
         """Remember where the vehicle has been since it last came nearer to the waypoint."""
@@ -228,6 +242,10 @@ class Route:
             self._trail = np.zeros((0, 2))
         if self._trail.shape[0] == 0 or np.hypot(*(self._trail[-1] - p)) > _TRAIL_SPACING_M:
             self._trail = np.concatenate([self._trail[-_TRAIL_POINTS + 1 :], p[None, :]])
+
+
+def _ends_at(path: LocalPath, goal: FloatArray) -> bool:
+    return path.status is SearchStatus.REACHED and np.array_equal(path.points[-1], goal)
 
 
 def _length(points: FloatArray) -> float:

@@ -166,11 +166,14 @@ class RrtPlanner:
         self, field: ClearanceField, start: FloatArray, goal: FloatArray
     ) -> FloatArray | None:
         """Return the place nearest to a goal (2,) that a tree reaches; None if that is too far from it."""
-        ends = np.array([[*start, self._granted(field, start)], [*goal, -np.inf]])
-        tree, _, _ = self._tree(field, self.least_clearance, ends)
-        gaps = np.hypot(*(tree - goal).T)
-        nearest = int(np.argmin(gaps))
-        return tree[nearest].copy() if gaps[nearest] <= self._settings.stand_in_distance_m else None
+        ends = np.array([[*start, self._granted(field, start)], [*goal, np.inf]])
+        for clearance in self.clearances:
+            tree, _, _ = self._tree(field, clearance, ends)
+            gaps = np.hypot(*(tree - goal).T)
+            nearest = int(np.argmin(gaps))
+            if gaps[nearest] <= self._settings.stand_in_distance_m:
+                return np.asarray(tree[nearest])
+        return None
 
     def _granted(self, field: ClearanceField, point: FloatArray) -> float:
         return _room(field, point) - _GRANTED_SLACK_M

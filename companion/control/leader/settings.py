@@ -100,9 +100,10 @@ class RrtSettings(Settings):
     """Distance from the path beyond which it is replaced at once."""
     keep_ratio: float = Field(default=1.1, ge=1.0, le=10.0)
     """The present path stays while it is at most this much longer than a new one."""
-    patience_s: float = Field(default=60.0, gt=0.0, le=3600.0)
+    patience_s: float = Field(default=90.0, gt=0.0, le=3600.0)
     """After this long without coming nearer to a waypoint the vehicle makes no more detours: it stops at the
-    nearest place it can reach if that is near the waypoint (see `stand_in_distance_m`), else it holds."""
+    nearest place it can reach if that is near the waypoint (see `stand_in_distance_m`), else it holds. After
+    twice as long it holds in any case."""
     stand_in_distance_m: float = Field(default=3.0, ge=0.0, le=10.0)
     """A waypoint in an obstacle is replaced by the best free point up to this far away."""
 
