@@ -16,7 +16,7 @@ export NUMBA_THREADING_LAYER := omp
 demo: $(INSTALLED)
 	$(BIN)/companion warmup
 	$(BIN)/sitl run field_configs/sitl_leader_pillars.yaml --out $(DEMO)
-	$(BIN)/companion report $(DEMO)/flight.mcap --out $(DEMO)/report.html
+	$(BIN)/companion report $(DEMO)/flight.mcap --output $(DEMO)/report.html
 
 test: $(INSTALLED)
 	$(BIN)/ruff format --check .

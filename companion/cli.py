@@ -1,26 +1,19 @@
-"""The `companion` command: one thin function per verb.
+"""The `companion` command: one thin function per verb."""
 
-Whatever goes wrong on purpose ends in one line on the error output and the matching exit code; with `--json`
-the last line of the output is one JSON object either way.
-"""
-
-import json
 import os
 import sys
-import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from companion import __version__
+from companion.command_line import AsJson, Result, conclude, run
 from companion.exit_codes import ExitCode
 
 if TYPE_CHECKING:
     from companion.config import Profile
-
-Result = dict[str, Any]
 
 app = typer.Typer(
     name="companion",
@@ -32,7 +25,6 @@ app = typer.Typer(
 )
 
 ProfilePath = Annotated[Path, typer.Argument(metavar="PROFILE", help="YAML profile of the vehicle.")]
-AsJson = Annotated[bool, typer.Option("--json", help="End the output with one JSON object on a line.")]
 Vehicle = Annotated[
     str | None, typer.Option("--vehicle", help="Name of the vehicle, when several run on this computer.")
 ]
@@ -47,15 +39,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns:
         The exit status.
     """
-    try:
-        app(args=arguments, prog_name="companion")
-    except SystemExit as stop:
-        if stop.code != 2:  # the parser's own status, for a wrong command line
-            return int(stop.code or 0)
-        if "--json" in (sys.argv[1:] if arguments is None else arguments):
-            print(json.dumps({"error": "wrong command line", "exit": int(ExitCode.USAGE)}))
-        return int(ExitCode.USAGE)
-    return int(ExitCode.OK)
+    return run(app, "companion", arguments)
 
 
 def _version(wanted: bool) -> None:
@@ -71,53 +55,6 @@ def _top(
     ] = False,
 ) -> None:
     """Flight-stack companion for PX4 vehicles: fly, check, look, report."""
-
-
-def _conclude(body: Callable[[], tuple[Result, ExitCode]], as_json: bool) -> None:
-    """Run a command's body, print its JSON result if wanted, and leave with the right status."""
-    from companion.errors import CompanionError
-
-    try:
-        result, code = body()
-    except KeyboardInterrupt:
-        result, code = {"error": "interrupted"}, ExitCode.INTERRUPTED
-    except (CompanionError, OSError) as error:
-        code = _code_of(error)
-        result = {"error": _one_line(error)}
-        print(result["error"], file=sys.stderr)
-    except Exception as error:
-        traceback.print_exc()
-        code = ExitCode.INTERNAL
-        result = {"error": f"internal error: {type(error).__name__}: {_one_line(error)}"}
-    if as_json:
-        print(json.dumps({**result, "exit": int(code)}), flush=True)
-    raise typer.Exit(int(code))
-
-
-def _code_of(error: Exception) -> ExitCode:
-    """Return the exit status of an expected error."""
-    from companion import errors
-    from companion.control_socket import NotRunningError
-    from companion.directories import BusyError
-    from companion.yaml_tree import MissingProfileError
-
-    codes: tuple[tuple[type[Exception], ExitCode], ...] = (
-        (MissingProfileError, ExitCode.NO_INPUT),
-        (errors.ProfileError, ExitCode.CONFIG),
-        (BusyError, ExitCode.TEMPORARY),
-        (NotRunningError, ExitCode.UNAVAILABLE),
-        (errors.StartError, ExitCode.UNAVAILABLE),
-        (errors.ProtocolError, ExitCode.UNAVAILABLE),
-        (errors.LogError, ExitCode.DATA),
-        (FileNotFoundError, ExitCode.NO_INPUT),
-        (PermissionError, ExitCode.CANNOT_CREATE),
-        (OSError, ExitCode.IO),
-    )
-    return next((code for kind, code in codes if isinstance(error, kind)), ExitCode.INTERNAL)
-
-
-def _one_line(error: BaseException) -> str:
-    return " ".join(str(error).split())
 
 
 def _load(path: Path) -> "Profile":
@@ -151,7 +88,7 @@ def fly(
         result = {"state": outcome.state.value, "reason": outcome.reason, "log": str(outcome.log)}
         return result, ExitCode.INTERRUPTED if outcome.reason == "SIGINT" else ExitCode.OK
 
-    _conclude(body, json_output)
+    conclude(body, json_output)
 
 
 @app.command(epilog="Example: companion check field_configs/uav_leader.yaml --offline")
@@ -183,7 +120,7 @@ def check(
         result = {"go": go, "checks": [check.as_dict() for check in checks]}
         return result, ExitCode.OK if go else ExitCode.NO_GO
 
-    _conclude(body, json_output)
+    conclude(body, json_output)
 
 
 @app.command(epilog="Example: companion report flight.mcap --output flight.html")
@@ -209,7 +146,7 @@ def report(
             print(page)
         return {"report": str(page)}, ExitCode.OK
 
-    _conclude(body, json_output)
+    conclude(body, json_output)
 
 
 @app.command(epilog="Example: companion recover flight.mcap.open")
@@ -236,7 +173,7 @@ def recover(
         result = {name: getattr(saved, name) for name in saved.__slots__}
         return {**result, "path": str(saved.path)}, ExitCode.OK
 
-    _conclude(body, json_output)
+    conclude(body, json_output)
 
 
 @app.command(epilog="Example: companion schema > field_configs/profile.schema.json")
@@ -253,7 +190,7 @@ def schema(json_output: AsJson = False) -> None:
             print(schema_text(), end="")
         return {"schema": json_schema()}, ExitCode.OK
 
-    _conclude(body, json_output)
+    conclude(body, json_output)
 
 
 @app.command(epilog="Example: companion engage --vehicle uav1")
@@ -275,7 +212,7 @@ def engage(
             print(text if accepted else f"refused: {answer.get('error', 'no reason given')}")
         return answer, ExitCode.OK if accepted else ExitCode.NO_GO
 
-    _conclude(body, json_output)
+    conclude(body, json_output)
 
 
 @app.command(epilog="Example: companion status --json")
@@ -290,7 +227,7 @@ def status(vehicle: Vehicle = None, json_output: AsJson = False) -> None:
                     print(f"{key}: {value}")
         return answer, ExitCode.OK if answer.get("ok") is True else ExitCode.NO_GO
 
-    _conclude(body, json_output)
+    conclude(body, json_output)
 
 
 @app.command(epilog="Example: companion warmup")
@@ -311,7 +248,7 @@ def warmup(json_output: AsJson = False) -> None:
             print(f"{kernels} kernels ready")
         return {"kernels": kernels}, ExitCode.OK
 
-    _conclude(body, json_output)
+    conclude(body, json_output)
 
 
 def _ask(verb: str, vehicle: str | None) -> Result:

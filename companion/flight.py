@@ -11,7 +11,7 @@ from companion import runtime
 from companion.clock import NANOSECONDS_PER_SECOND, SystemClock
 from companion.config import Profile, profile_text
 from companion.kernel_cache import load_kernels
-from companion.logs.metadata import FlightMetadata
+from companion.logs.metadata import FlightMetadata, source_commit
 from companion.logs.writer import FlightLog
 from companion.runtime import FlightOutcome
 from companion.service import open_service
@@ -48,6 +48,7 @@ def run_flight(profile: Profile, environ: Mapping[str, str], log_directory: Path
             role=profile.role,
             mode="flight",
             configuration=profile_text(profile),
+            git_commit=source_commit(Path(__file__).parents[1]),
             calendar_ns=clock.calendar_ns(),
         )
         path = log_path(folder, profile.vehicle.name, metadata.calendar_ns)

@@ -7,7 +7,7 @@ so whatever stalls it, or kills the process, ends the stream and lets PX4's fail
 
 import asyncio
 import contextlib
-from collections.abc import AsyncIterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -87,39 +87,52 @@ class Flight:
             StartError: if a driver cannot start; the text names the stage.
         """
         self._loop = asyncio.get_running_loop()
-        for part in _PARTS:
-            self._service.liveness.require(part)
-        async with self._drivers():
-            tasks = [
-                asyncio.create_task(self._decide_forever(), name="decision"),
-                asyncio.create_task(self._send_forever(), name="sending"),
-                asyncio.create_task(self._service.keep_watchdog(self._clock), name="watchdog"),
-            ]
-            self._service.ready()
-            _log.info("ready")
-            stop = asyncio.create_task(self._service.stop.wait(), name="stop")
-            try:
-                await self._until_stopped_or_failed(stop, tasks)
-            finally:
-                for task in (*tasks, stop):
-                    task.cancel()
-                await asyncio.gather(*tasks, stop, return_exceptions=True)
+        async with contextlib.AsyncExitStack() as drivers:
+            if await self._start_unless_stopped(drivers):
+                await self._fly()
         return FlightOutcome(self._exchange.state, self._service.stop.reason, self._flight_log.path)
 
-    @contextlib.asynccontextmanager
-    async def _drivers(self) -> AsyncIterator[None]:
-        async with contextlib.AsyncExitStack() as stack:
-            self._perception.start()
-            stack.callback(self._perception.stop)
-            await self._control.start()
-            stack.push_async_callback(self._control.close)
-            self._service.status("starting: autopilot")
-            await self._link.start(_START_TIMEOUT_S)
-            stack.push_async_callback(self._link.stop)
-            self._service.status("starting: LiDAR")
-            await self._lidar.start(_START_TIMEOUT_S)
-            stack.push_async_callback(self._lidar.stop)
-            yield
+    async def _fly(self) -> None:
+        for part in _PARTS:
+            self._service.liveness.require(part)
+        tasks = [
+            asyncio.create_task(self._decide_forever(), name="decision"),
+            asyncio.create_task(self._send_forever(), name="sending"),
+            asyncio.create_task(self._service.keep_watchdog(self._clock), name="watchdog"),
+        ]
+        self._service.ready()
+        _log.info("ready")
+        stop = asyncio.create_task(self._service.stop.wait(), name="stop")
+        try:
+            await self._until_stopped_or_failed(stop, tasks)
+        finally:
+            for task in (*tasks, stop):
+                task.cancel()
+            await asyncio.gather(*tasks, stop, return_exceptions=True)
+
+    async def _start_unless_stopped(self, drivers: contextlib.AsyncExitStack) -> bool:
+        """Start all drivers; returns False when told to stop meanwhile, at once."""
+        start = asyncio.create_task(self._start(drivers), name="start")
+        stop = asyncio.create_task(self._service.stop.wait(), name="stop")
+        await asyncio.wait([start, stop], return_when=asyncio.FIRST_COMPLETED)
+        stopped = not start.done()
+        for task in (start, stop):
+            task.cancel()
+        with contextlib.suppress(asyncio.CancelledError):
+            await start
+        return not stopped
+
+    async def _start(self, drivers: contextlib.AsyncExitStack) -> None:
+        self._perception.start()
+        drivers.callback(self._perception.stop)
+        await self._control.start()
+        drivers.push_async_callback(self._control.close)
+        self._service.status("starting: autopilot")
+        drivers.push_async_callback(self._link.stop)
+        await self._link.start(_START_TIMEOUT_S)
+        self._service.status("starting: LiDAR")
+        drivers.push_async_callback(self._lidar.stop)
+        await self._lidar.start(_START_TIMEOUT_S)
 
     async def _until_stopped_or_failed(
         self, stop: asyncio.Task[str], tasks: Sequence[asyncio.Task[None]]

@@ -11,12 +11,26 @@ WINGS = ("drivers", "perception", "control", "safety", "logs")
 
 # A module may import its own floor's modules only where that makes no circle, and any lower floor.
 FLOORS: tuple[frozenset[str], ...] = (
-    frozenset({"errors", "clock", "geometry", "settings", "compiled", "yaml_tree", "yaml_source", "yaml_problems"}),
+    frozenset(
+        {"errors", "clock", "geometry", "settings", "compiled", "yaml_tree", "yaml_source", "yaml_problems", "directories", "exit_codes"}
+    ),
     frozenset({"messages"}),
     frozenset(WINGS),
     frozenset({"pipeline"}),
     frozenset(
-        {"config", "assembly", "exchange", "runtime", "service", "replay", "control_socket", "preflight"}
+        {
+            "assembly",
+            "config",
+            "command_line",
+            "control_socket",
+            "exchange",
+            "flight",
+            "kernel_cache",
+            "perception_thread",
+            "preflight",
+            "runtime",
+            "service",
+        }
     ),
     frozenset({"cli", "__main__"}),
 )

@@ -1,0 +1,97 @@
+"""One simulated UAV: airframe, autopilot, LiDAR and IMU on one clock, as bytes."""
+
+from dataclasses import dataclass
+
+from companion.logs.records import StampedPose
+from sitl.airframe import Airframe
+from sitl.autopilot import Autopilot, AutopilotSettings
+from sitl.autopilot_parameters import GNSS_DENIED, Parameters
+from sitl.dynamics import STEP_NS
+from sitl.livox_emulator import LivoxEmulator, LivoxEmulatorSettings
+from sitl.mavlink_emulator import MavlinkEmulator, Outgoing
+from sitl.scenario import Stage
+from sitl.sensor_rig import SensorRig
+from sitl.sensors.imu import ImuModel, ImuSettings
+from sitl.sensors.mid360 import Mid360Model, Mid360Settings
+from sitl.slots import InertialSlot, PointSlots
+
+
+def build_sensors(stage: Stage) -> SensorRig:
+    """Return the vehicle's LiDAR and IMU at power-on."""
+    T_body_lidar = stage.profile.vehicle.T_body_lidar
+    return SensorRig(
+        Mid360Model(stage.generator("lidar"), T_body_lidar, Mid360Settings()),
+        ImuModel(stage.generator("imu"), T_body_lidar, ImuSettings()),
+        stage.world,
+    )
+
+
+def build_livox(stage: Stage, boot_ns: int) -> LivoxEmulator:
+    """Return the LiDAR's side of its protocol, switched on at host time `boot_ns`."""
+    return LivoxEmulator(LivoxEmulatorSettings(lidar_ip=stage.profile.lidar.lidar_ip), boot_ns)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Measured:
+    """What the sensor measured in one step."""
+
+    slots: PointSlots
+    inertial: InertialSlot
+
+
+class SimulatedVehicle:
+    """Airframe under the emulated PX4, with the sensor on it, in steps of 5 ms."""
+
+    def __init__(self, stage: Stage, boot_ns: int) -> None:
+        """Switch everything on at host time `boot_ns`, standing at the start."""
+        scenario = stage.scenario
+        self._stage = stage
+        self._t_ns = boot_ns
+        self.airframe = Airframe(
+            stage.T_world_start,
+            stage.world,
+            quadrotor=scenario.quadrotor,
+            wind=scenario.wind,
+            radius_m=scenario.vehicle_radius_m,
+            rng=stage.generator("wind"),
+        )
+        parameters = Parameters(
+            {
+                **GNSS_DENIED,
+                "MAV_SYS_ID": stage.profile.autopilot.system_id,
+                "MIS_TAKEOFF_ALT": scenario.operator.takeoff_height_m,
+            }
+        )
+        self.autopilot = Autopilot(AutopilotSettings(), parameters, stage.generator("autopilot"))
+        self.mavlink = MavlinkEmulator(self.autopilot, boot_ns=boot_ns)
+        self._sensors = build_sensors(stage)
+
+    @property
+    def t_ns(self) -> int:
+        """Present time on the host's clock."""
+        return self._t_ns
+
+    @property
+    def on_ground_disarmed(self) -> bool:
+        """The vehicle stands with stopped motors."""
+        return not self.autopilot.armed and self.autopilot.landed
+
+    def step(self) -> tuple[Measured, list[Outgoing]]:
+        """Move on by 5 ms; return what the sensor measured and the MAVLink datagrams now due."""
+        t_ns = self._t_ns + STEP_NS
+        command = self.autopilot.step(self._t_ns, self.airframe.truth(self._t_ns))
+        start = self.airframe.kinematics
+        self.airframe.step(command)
+        slots, inertial = self._sensors.step(start, self.airframe.kinematics, STEP_NS, self.airframe.thrust)
+        self._t_ns = t_ns
+        return Measured(slots, inertial), self.mavlink.poll(t_ns)
+
+    def true_pose(self) -> StampedPose:
+        """Return the body's true pose in the world, for the log."""
+        motion = self.airframe.kinematics
+        return StampedPose(self._t_ns, "world", motion.p_world, motion.q_world_body)
+
+    def goal_distance_m(self) -> float:
+        """Return the horizontal distance to the goal."""
+        offset = self.airframe.kinematics.p_world - self._stage.goal_world
+        return float((offset[0] ** 2 + offset[1] ** 2) ** 0.5)
