@@ -11,12 +11,11 @@ from companion.logs.writer import FlightLog
 from companion.messages import Datagram, FlightState
 from sitl.mavlink_emulator import Outgoing, Peer
 from sitl.network import Network
-from sitl.operator import Operator
 from sitl.outcome import Ending
 from sitl.referee import Referee
 from sitl.scenario import Stage
 from sitl.stepped_companion import SteppedCompanion
-from sitl.vehicle import SimulatedVehicle, build_livox
+from sitl.vehicle import SimulatedVehicle, build_livox, build_operator
 
 BOOT_NS = 1_000_000_000
 """Host time at power-on; any value but zero, which some fields take for "never"."""
@@ -24,7 +23,7 @@ BOOT_NS = 1_000_000_000
 _TRUTH_PERIOD_NS = seconds_to_ns(0.02)
 _PROGRESS_PERIOD_NS = seconds_to_ns(1.0)
 
-Progress = Callable[[float, FlightState, float], None]
+Progress = Callable[[float, str, float], None]
 
 
 class Lockstep:
@@ -37,7 +36,7 @@ class Lockstep:
         self._vehicle = SimulatedVehicle(stage, BOOT_NS)
         self._livox = build_livox(stage, BOOT_NS)
         self._network = Network(scenario.network, stage.generator("network"), BOOT_NS)
-        self._operator = Operator.of(scenario.operator, profile.autopilot)
+        self._operator = build_operator(stage)
         self._referee = Referee(stage, self._vehicle)
         self._companion = SteppedCompanion(
             profile,
@@ -121,7 +120,7 @@ def fly_lockstep(stage: Stage, log_path: Path, on_progress: Progress | None = No
             lockstep.step()
             if on_progress is not None and referee.t_ns >= next_progress_ns:
                 next_progress_ns = referee.t_ns + _PROGRESS_PERIOD_NS
-                on_progress(referee.elapsed_s, lockstep.state, referee.goal_distance_m)
+                on_progress(referee.elapsed_s, lockstep.state.value, referee.goal_distance_m)
     finally:
         log.close()
     return referee.ending(wall_time_s=ns_to_seconds(clock.now_ns() - wall_start_ns))

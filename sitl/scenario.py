@@ -1,15 +1,16 @@
 """What happens in a simulated flight: the world, the vehicle's start, the operator, the faults, the seed."""
 
+import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.random import Generator, SeedSequence
 from pydantic import Field, Strict, model_validator
 
 from companion.clock import NANOSECONDS_PER_SECOND
-from companion.config import Profile, load_profile
+from companion.config import SCHEMA_DIALECT, Profile, load_profile
 from companion.geometry import rotation
 from companion.geometry.pose import Pose
 from companion.messages import FloatArray
@@ -146,8 +147,8 @@ def set_stage(scenario: Scenario, folder: Path, seed: int | None) -> Stage:
     yaw = rng.uniform(-np.pi, np.pi) if scenario.start_yaw_deg is None else np.radians(scenario.start_yaw_deg)
     standing_m = scenario.quadrotor.ground_height_m + scenario.quadrotor.standing_height_m
     T_world_start = Pose.of([*scenario.start_world_m, standing_m], rotation.from_yaw(yaw))
-    waypoints = profile.leader.mission.waypoints_m if profile.leader is not None else ()
-    goal_world = T_world_start.transform(waypoints[-1] if len(waypoints) else (0.0, 0.0, 0.0))
+    waypoints = profile.leader.mission.waypoints_m if profile.leader is not None else []
+    goal_world = T_world_start.transform(waypoints[-1] if waypoints else [0.0, 0.0, 0.0])
     return Stage(
         scenario=scenario,
         profile=profile,
@@ -169,3 +170,13 @@ def _world(scenario: Scenario, goal_world: FloatArray, rng: Generator) -> World:
         }
     )
     return pillar_field(rng, settings)
+
+
+def json_schema() -> dict[str, Any]:
+    """Return the JSON schema of scenario files, for editors."""
+    return {"$schema": SCHEMA_DIALECT, **Scenario.model_json_schema(), "title": "Companion scenario"}
+
+
+def schema_text() -> str:
+    """Return the schema as the text of a file."""
+    return json.dumps(json_schema(), indent=2, ensure_ascii=False) + "\n"

@@ -9,6 +9,8 @@ from sitl.autopilot_parameters import GNSS_DENIED, Parameters
 from sitl.dynamics import STEP_NS
 from sitl.livox_emulator import LivoxEmulator, LivoxEmulatorSettings
 from sitl.mavlink_emulator import MavlinkEmulator, Outgoing
+from sitl.operator import Operator, OperatorSettings
+from sitl.operator_script import takeoff_and_authorise
 from sitl.scenario import Stage
 from sitl.sensor_rig import SensorRig
 from sitl.sensors.imu import ImuModel, ImuSettings
@@ -29,6 +31,16 @@ def build_sensors(stage: Stage) -> SensorRig:
 def build_livox(stage: Stage, boot_ns: int) -> LivoxEmulator:
     """Return the LiDAR's side of its protocol, switched on at host time `boot_ns`."""
     return LivoxEmulator(LivoxEmulatorSettings(lidar_ip=stage.profile.lidar.lidar_ip), boot_ns)
+
+
+def build_operator(stage: Stage) -> Operator:
+    """Return the person who flies the scenario's script against this vehicle."""
+    wishes, autopilot = stage.scenario.operator, stage.profile.autopilot
+    settings = OperatorSettings(
+        vehicle_system_id=autopilot.system_id, companion_component_id=autopilot.component_id
+    )
+    script = takeoff_and_authorise(wishes.takeoff_height_m, wishes.authorise_after_s, wishes.takeover_after_s)
+    return Operator(script, settings)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

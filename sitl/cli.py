@@ -1,0 +1,156 @@
+"""The `sitl` command: simulated flights."""
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from companion import __version__
+from companion.command_line import AsJson, Result, conclude, run
+from companion.exit_codes import ExitCode
+
+if TYPE_CHECKING:
+    from sitl.outcome import Ending, Outcome
+    from sitl.scenario import Stage
+
+LOG_NAME = "flight.mcap"
+_LAST_RUN = Path("runs/last")
+
+app = typer.Typer(
+    name="sitl",
+    help="Software in the loop: the LiDAR, its IMU, the vehicle and PX4, emulated to the byte.",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command; returns the exit status."""
+    return run(app, "sitl", arguments)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        print(f"sitl {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _top(
+    _: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version and leave.")
+    ] = False,
+) -> None:
+    """Software in the loop: the LiDAR, its IMU, the vehicle and PX4, emulated to the byte."""
+
+
+@app.command("run", epilog="Example: sitl run field_configs/sitl_leader_pillars.yaml --seed 7")
+def run_scenario(
+    scenario: Annotated[Path, typer.Argument(metavar="SCENARIO", help="YAML scenario.")],
+    seed: Annotated[int | None, typer.Option(min=0, help="Instead of the scenario's own.")] = None,
+    wire: Annotated[bool, typer.Option("--wire", help="Real sockets, MAVSDK and real time.")] = False,
+    px4: Annotated[
+        str | None,
+        typer.Option(metavar="URL", help="Fly a PX4 that runs already, e.g. udpin://0.0.0.0:14540."),
+    ] = None,
+    px4_truth: Annotated[
+        str, typer.Option(metavar="HOST:PORT", help="Where that PX4's simulator publishes its motion.")
+    ] = "127.0.0.1:19410",
+    px4_params: Annotated[
+        Literal["check", "apply"], typer.Option(help="Compare that PX4's parameters, or write them too.")
+    ] = "check",
+    out: Annotated[Path, typer.Option(help="Folder for the log; an older log in it is replaced.")] = Path(
+        "runs/last"
+    ),
+    json_output: AsJson = False,
+) -> None:
+    """Fly one scenario and judge it.
+
+    Without options: step by step, as fast as possible, and the same seed writes the same bytes. With `--wire`
+    the process that flies is `companion fly` itself. Leaves with 0 on success and 3 when the flight failed.
+    """
+
+    def body() -> tuple[Result, ExitCode]:
+        from sitl.outcome import evaluate
+        from sitl.scenario import load_scenario, set_stage
+
+        stage = set_stage(load_scenario(scenario), scenario.parent, seed)
+        out.mkdir(parents=True, exist_ok=True)
+        log = out / LOG_NAME
+        for leftover in (log, log.with_name(f"{LOG_NAME}.open")):
+            leftover.unlink(missing_ok=True)
+        if px4 is not None:
+            from sitl.px4_flight import fly_px4
+
+            ending = fly_px4(
+                stage, log, url=px4, truth=px4_truth, apply=px4_params == "apply", on_progress=_show
+            )
+        elif wire:
+            from sitl.wire import fly_wire
+
+            ending = fly_wire(stage, log, on_progress=_show)
+        else:
+            ending = _lockstep(stage, log)
+        if sys.stderr.isatty():
+            print(file=sys.stderr)
+        outcome = evaluate(ending, log)
+        if not json_output:
+            _print_outcome(outcome)
+        return outcome.as_dict(), ExitCode.OK if outcome.success else ExitCode.NO_GO
+
+    conclude(body, json_output)
+
+
+def _lockstep(stage: "Stage", log: Path) -> "Ending":
+    from companion.kernel_cache import load_kernels
+    from sitl.lockstep import fly_lockstep
+
+    load_kernels()
+    return fly_lockstep(stage, log, _show)
+
+
+@app.command(epilog="Example: sitl schema > field_configs/scenario.schema.json")
+def schema(json_output: AsJson = False) -> None:
+    """Print the JSON schema of scenarios, for editors."""
+
+    def body() -> tuple[Result, ExitCode]:
+        from sitl.scenario import json_schema, schema_text
+
+        if not json_output:
+            print(schema_text(), end="")
+        return {"schema": json_schema()}, ExitCode.OK
+
+    conclude(body, json_output)
+
+
+def _show(seconds: float, state: str, goal_distance_m: float) -> None:
+    """Keep one line of progress on a terminal."""
+    if sys.stderr.isatty():
+        line = f"{seconds:5.0f} s  {state:<10} {goal_distance_m:5.1f} m to the goal"
+        print(f"\r{line}", end="", file=sys.stderr, flush=True)
+
+
+def _print_outcome(outcome: "Outcome") -> None:
+    def number(value: float | None, digits: int, unit: str) -> str:
+        return "-" if value is None else f"{value:.{digits}f} {unit}"
+
+    odometry, latency, setpoints = outcome.odometry, outcome.latency_ms, outcome.setpoints
+    rows = [
+        ("flight", f"{'success' if outcome.success else 'FAILED'}: {outcome.reason}"),
+        ("goal distance", number(outcome.goal_distance_m, 2, "m")),
+        ("collisions", str(outcome.collisions)),
+        ("simulated", f"{outcome.sim_time_s:.1f} s, {outcome.real_time_factor:.1f} x real time"),
+        ("odometry", f"{number(odometry.ape_rmse_m, 3, 'm')} RMSE"),
+        ("drift", number(odometry.drift_percent, 2, "%")),
+        ("scan to setpoint", f"{number(latency.p50, 1, 'ms')} median, {number(latency.p99, 1, 'ms')} p99"),
+        ("setpoints", f"{number(setpoints.rate_hz, 1, 'Hz')}"),
+        ("longest gap", number(setpoints.max_gap_ms, 0, "ms")),
+        ("LiDAR packets", f"{outcome.livox.packets} received, {outcome.livox.lost} lost"),
+        ("log", outcome.log),
+    ]
+    for name, value in rows:
+        print(f"{name:<17} {value}")
