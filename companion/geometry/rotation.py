@@ -34,17 +34,15 @@ def multiply(q_a_b: ArrayLike, q_b_c: ArrayLike) -> FloatArray:
     """Return q_a_c = q_a_b * q_b_c, both (..., 4) and broadcast against each other."""
     a = np.asarray(q_a_b, dtype=np.float64)
     b = np.asarray(q_b_c, dtype=np.float64)
-    aw, ax, ay, az = (a[..., i] for i in range(4))
-    bw, bx, by, bz = (b[..., i] for i in range(4))
-    return np.stack(
-        [
-            aw * bw - ax * bx - ay * by - az * bz,
-            aw * bx + ax * bw + ay * bz - az * by,
-            aw * by - ax * bz + ay * bw + az * bx,
-            aw * bz + ax * by - ay * bx + az * bw,
-        ],
-        axis=-1,
-    )
+    aw, ax, ay, az = a[..., 0], a[..., 1], a[..., 2], a[..., 3]
+    bw, bx, by, bz = b[..., 0], b[..., 1], b[..., 2], b[..., 3]
+    w = aw * bw - ax * bx - ay * by - az * bz
+    product = np.empty((*w.shape, 4))
+    product[..., 0] = w
+    product[..., 1] = aw * bx + ax * bw + ay * bz - az * by
+    product[..., 2] = aw * by - ax * bz + ay * bw + az * bx
+    product[..., 3] = aw * bz + ax * by - ay * bx + az * bw
+    return product
 
 
 def conjugate(q_a_b: ArrayLike) -> FloatArray:
@@ -56,21 +54,32 @@ def rotate(q_a_b: ArrayLike, v_b: ArrayLike) -> FloatArray:
     """Return v_a: the vectors v_b (..., 3) expressed in frame a."""
     q = np.asarray(q_a_b, dtype=np.float64)
     v = np.asarray(v_b, dtype=np.float64)
-    imaginary = q[..., 1:]
-    twice_cross = 2.0 * np.cross(imaginary, v)
-    return v + q[..., :1] * twice_cross + np.cross(imaginary, twice_cross)
+    w, x, y, z = q[..., 0], q[..., 1], q[..., 2], q[..., 3]
+    vx, vy, vz = v[..., 0], v[..., 1], v[..., 2]
+    # v + 2 w (u x v) + 2 u x (u x v), with u the imaginary part.
+    cx, cy, cz = 2.0 * (y * vz - z * vy), 2.0 * (z * vx - x * vz), 2.0 * (x * vy - y * vx)
+    rotated = np.empty((*cx.shape, 3))
+    rotated[..., 0] = vx + w * cx + (y * cz - z * cy)
+    rotated[..., 1] = vy + w * cy + (z * cx - x * cz)
+    rotated[..., 2] = vz + w * cz + (x * cy - y * cx)
+    return rotated
 
 
 def to_matrix(q_a_b: ArrayLike) -> FloatArray:
     """Return R_a_b (..., 3, 3) of unit quaternions (..., 4)."""
     q = np.asarray(q_a_b, dtype=np.float64)
-    w, x, y, z = (q[..., i] for i in range(4))
-    rows = [
-        [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
-        [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
-        [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
-    ]
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    w, x, y, z = q[..., 0], q[..., 1], q[..., 2], q[..., 3]
+    matrix = np.empty((*w.shape, 3, 3))
+    matrix[..., 0, 0] = 1.0 - 2.0 * (y * y + z * z)
+    matrix[..., 0, 1] = 2.0 * (x * y - w * z)
+    matrix[..., 0, 2] = 2.0 * (x * z + w * y)
+    matrix[..., 1, 0] = 2.0 * (x * y + w * z)
+    matrix[..., 1, 1] = 1.0 - 2.0 * (x * x + z * z)
+    matrix[..., 1, 2] = 2.0 * (y * z - w * x)
+    matrix[..., 2, 0] = 2.0 * (x * z - w * y)
+    matrix[..., 2, 1] = 2.0 * (y * z + w * x)
+    matrix[..., 2, 2] = 1.0 - 2.0 * (x * x + y * y)
+    return matrix
 
 
 def from_matrix(R_a_b: ArrayLike) -> FloatArray:
