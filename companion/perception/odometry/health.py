@@ -49,7 +49,7 @@ class HealthMonitor:
         """Take note of one scan's correction, or of its failure."""
         settings = self._settings
         if not correction.accepted:
-            self._reason = f"{correction.matched} of {correction.offered} points matched"
+            self._reason = f"{correction.matched} of {correction.found} planes agree with the scan"
             return
         self._corrected_ns = t_ns
         points = min(1.0, correction.matched / (4.0 * settings.min_effective_points))

@@ -13,12 +13,12 @@ CAPACITY = 2048
 
 @dataclass(frozen=True, slots=True, eq=False)
 class InertialStretch:
-    """Consecutive samples; the first and last may be interpolated.
+    """Consecutive intervals between samples; the first and last may be cut short.
 
     Attributes:
-        t_s: (n,) seconds after the origin that was asked for, ascending.
-        inertial: (n, 6) gyro rad/s and specific force m/s^2.
-        suspect: (n,) whether a sample was saturated or follows a break.
+        t_s: (n,) limits of the intervals, seconds after the origin that was asked for, ascending.
+        inertial: (n - 1, 6) mean gyro rad/s and specific force m/s^2 of each interval.
+        suspect: (n - 1,) whether an interval's samples are saturated or follow a break.
     """
 
     t_s: FloatArray
@@ -73,9 +73,11 @@ class InertialHistory:
         self._t_ns[self._begin : self._end] += shift_ns
 
     def between(self, start_ns: int, end_ns: int, origin_ns: int) -> InertialStretch:
-        """Return the samples from one instant to another, interpolated at both ends.
+        """Return what was measured from one instant to another.
 
-        Before the oldest sample and after the newest, the nearest one is held.
+        A sample is the mean over the interval that ends with it, as a filter that averages between
+        samples makes it; so the motion is integrated up to the newest sample without delay. Before the
+        oldest sample and after the newest, the nearest one holds.
 
         Args:
             start_ns: first instant.
@@ -83,32 +85,18 @@ class InertialHistory:
             origin_ns: zero of the returned times.
 
         Raises:
-            ValueError: without samples, or if the limits are not in order.
+            ValueError: without samples, or if the instants are not in order.
         """
         if len(self) == 0 or start_ns >= end_ns:
             raise ValueError(f"no inertial stretch between {start_ns} ns and {end_ns} ns")
         times = self._t_ns[self._begin : self._end]
-        # Strictly inside samples, plus one interpolated at either limit.
         low = int(np.searchsorted(times, start_ns, side="right"))
         high = int(np.searchsorted(times, end_ns, side="left"))
         t_ns = np.empty(high - low + 2, dtype=np.int64)
         t_ns[0], t_ns[-1] = start_ns, end_ns
         t_ns[1:-1] = times[low:high]
-        inertial = np.empty((len(t_ns), 6))
-        inertial[1:-1] = self._inertial[self._begin + low : self._begin + high]
-        inertial[0] = self._at(start_ns, low)
-        inertial[-1] = self._at(end_ns, high)
-        suspect = np.zeros(len(t_ns), dtype=np.bool_)
-        suspect[1:-1] = self._suspect[self._begin + low : self._begin + high]
-        suspect[-1] = self._suspect[self._begin + min(high, len(times) - 1)]
-        return InertialStretch((t_ns - origin_ns).astype(np.float64) * 1e-9, inertial, suspect)
-
-    def _at(self, t_ns: int, above: int) -> FloatArray:
-        """Return the sample at `t_ns`, interpolated below index `above`."""
-        upper = self._begin + min(above, len(self) - 1)
-        lower = self._begin + max(above - 1, 0)
-        span = int(self._t_ns[upper] - self._t_ns[lower])
-        if span <= 0:
-            return np.asarray(self._inertial[upper])
-        fraction = min(1.0, max(0.0, (t_ns - int(self._t_ns[lower])) / span))
-        return np.asarray((1.0 - fraction) * self._inertial[lower] + fraction * self._inertial[upper])
+        index = np.arange(self._begin + low, self._begin + high + 1)
+        index[-1] = min(index[-1], self._end - 1)
+        return InertialStretch(
+            (t_ns - origin_ns).astype(np.float64) * 1e-9, self._inertial[index], self._suspect[index]
+        )

@@ -42,19 +42,20 @@ def propagate(
     noise: FloatArray,
     segments: FloatArray,
 ) -> None:
-    """Integrate a state and its covariance, in place, through consecutive inertial samples.
+    """Integrate a state and its covariance, in place, through consecutive intervals.
 
-    Each interval uses the mean of its two samples and the attitude at its middle.
+    Rate and specific force are constant in each interval; the force is turned by the attitude at the
+    interval's middle.
 
     Args:
         state: (24,).
         covariance: (18, 18).
-        t_s: (n,) times of the samples, seconds, ascending.
-        inertial: (n, 6) gyro rad/s and specific force m/s^2.
+        t_s: (n,) limits of the intervals, seconds, ascending.
+        inertial: (n - 1, 6) gyro rad/s and specific force m/s^2 of each interval.
         noise: (n - 1, 4) variances per interval: rate and acceleration densities (already spectral,
             multiplied by dt here), gyro and accelerometer bias walks.
-        segments: (>= n, 22) receives time, p, R, v at each sample and the acceleration and rate
-            of the interval that begins there.
+        segments: (>= n, 22) receives time, p, R, v at each limit and the acceleration and rate of the
+            interval that begins there; the last row repeats those of the last interval.
     """
     F = np.zeros((18, 18))
     FP = np.zeros((18, 18))
@@ -71,11 +72,11 @@ def propagate(
             segment[16:22] = segments[k - 1, 16:22] if k > 0 else np.zeros(6)
             break
         dt = t_s[k + 1] - t_s[k]
-        wx = 0.5 * (inertial[k, 0] + inertial[k + 1, 0]) - state[15]
-        wy = 0.5 * (inertial[k, 1] + inertial[k + 1, 1]) - state[16]
-        wz = 0.5 * (inertial[k, 2] + inertial[k + 1, 2]) - state[17]
+        wx = inertial[k, 0] - state[15]
+        wy = inertial[k, 1] - state[16]
+        wz = inertial[k, 2] - state[17]
         for i in range(3):
-            a[i] = 0.5 * (inertial[k, 3 + i] + inertial[k + 1, 3 + i]) - state[18 + i]
+            a[i] = inertial[k, 3 + i] - state[18 + i]
         R_middle[:] = state[3:12]
         rotate_by(R_middle, 0.5 * wx * dt, 0.5 * wy * dt, 0.5 * wz * dt)
         step[:] = 0.0

@@ -25,6 +25,7 @@ from companion.perception.odometry.health import Health, HealthMonitor
 from companion.perception.odometry.initialisation import StaticInitialiser
 from companion.perception.odometry.preprocessing import MOST_POINTS, Thinning, nearest_first, usable_points
 from companion.perception.odometry.propagation import Propagation
+from companion.perception.odometry.resting_scans import map_from_rest
 from companion.perception.odometry.sequencer import Arrival, Sequencer
 from companion.perception.odometry.settings import OdometrySettings
 from companion.perception.odometry.state import NavigationState
@@ -65,10 +66,16 @@ class LidarInertialOdometry:
         self._head: NavigationState | None = None  # the same, at the newest IMU sample
         self._health = HealthMonitor(settings, 0)
         self._reset_counter = 0
+        self._refusal = ""  # what the last scans of a resting window were refused for
         self._clock_offset_ns: int | None = None
         self._offset_by_scan = False
         self._output_period_ns = round(NANOSECONDS_PER_SECOND / settings.output_hz)
         self._last_output = (-1, -1)  # index in the output grid, host time
+
+    @property
+    def state(self) -> NavigationState | None:
+        """The filter's state at the newest scan's end, None before the start."""
+        return self._scan_state
 
     def handle(self, event: ImuSample | LidarScan) -> list[Odometry | RegisteredScan]:
         """Take one event and return what follows from it.
@@ -157,30 +164,45 @@ class LidarInertialOdometry:
     def _wait_for_rest(self, sample: ImuSample) -> list[Odometry | RegisteredScan]:
         """Start if the newest window shows rest, else say now and then why not."""
         initialisation = self._initialiser.add(sample)
-        if initialisation.state is None:
+        state, reason = initialisation.state, initialisation.reason
+        if state is not None:
+            self._refusal = reason = self._map_from_rest(state)
+        if state is None or reason:
             if not self._is_due(sample, _WAITING_PERIOD_NS):
                 return []
-            health = Health(OdometryStatus.INITIALISING, 0, initialisation.reason)
+            health = Health(OdometryStatus.INITIALISING, 0, self._refusal or reason)
             t_ns = self._host_time_ns(sample.t_sensor_ns)
             return [no_odometry(t_ns, sample.t_sensor_ns, self._reset_counter, health)]
-        self._scan_state = initialisation.state
-        self._head = initialisation.state.copy()
+        self._scan_state, self._head = state, state.copy()
         self._health = HealthMonitor(self._settings, sample.t_sensor_ns)
         self._last_output = (-1, self._last_output[1])
-        resting_since_ns = sample.t_sensor_ns - seconds_to_ns(self._settings.initial_window_s)
-        for scan in self.sequencer.take_scans(resting_since_ns, sample.t_sensor_ns):
-            points_lidar, _, _ = usable_points(scan, self._settings)
-            points_imu = self._points_imu[: len(points_lidar)]
-            points_imu[:] = points_lidar @ self._imu_lidar[:9].reshape(3, 3).T + self._imu_lidar[9:]
-            self._insert(points_imu, initialisation.state)
         return []
+
+    def _map_from_rest(self, state: NavigationState) -> str:
+        """Fill the map with the scans of the resting window; if they move, say so and wait anew."""
+        since_ns = state.t_ns - seconds_to_ns(self._settings.initial_window_s)
+        reason = map_from_rest(
+            self.sequencer.take_scans(since_ns, state.t_ns),
+            state,
+            self._imu_lidar,
+            self._matcher,
+            self.fine_map,
+            self.coarse_map,
+            self._settings,
+        )
+        if reason:
+            self._forget()
+        return reason
+
+    def _forget(self) -> None:
+        self.fine_map.clear()
+        self.coarse_map.clear()
+        self._initialiser.clear()
 
     def _give_up(self, health: Health) -> Odometry:
         """Forget motion and map and wait for rest again."""
         self._scan_state = self._head = None
-        self.fine_map.clear()
-        self.coarse_map.clear()
-        self._initialiser.clear()
+        self._forget()
         self._reset_counter += 1
         self._last_output = (-1, self._last_output[1])
         t_sensor_ns = self.sequencer.history.last_ns

@@ -115,7 +115,7 @@ def fit_plane(found: FloatArray, count: int, radius_m: float, eigen: FloatArray,
 
 @compiled(
     "int64(float64[:,::1], int64[::1], float64[::1], int64[::1], int32[::1], float32[:,:,::1], float64,"
-    " int64[::1], int32[::1], float32[:,:,::1], float64, float64, float64[:,::1])"
+    " int64[::1], int32[::1], float32[:,:,::1], float64, float64, boolean, float64[:,::1])"
 )
 def find_planes(
     points_imu: FloatArray,
@@ -130,6 +130,7 @@ def find_planes(
     coarse_cells: NDArray[np.float32],
     coarse_cell_m: float,
     thickness_m: float,
+    use_fine: bool,
     planes: FloatArray,
 ) -> int:
     """Find for each chosen point the plane of the map around it, in the fine map or else the coarse.
@@ -147,6 +148,7 @@ def find_planes(
         coarse_cells: its cells.
         coarse_cell_m: edge of its cells.
         thickness_m: largest standard deviation of map points from their plane.
+        use_fine: whether to look into the fine map at all.
         planes: (>= m, 6) receives normal n and offset d (n . p_map + d = 0), the plane's variance,
             and the level it came from: 0 fine, 1 coarse, -1 none.
 
@@ -165,7 +167,9 @@ def find_planes(
         plane = planes[m]
         level = -1
         radius = 1.5 * fine_cell_m
-        count = gather(fine_keys, fine_blocks, fine_cells, fine_cell_m, radius, x, y, z, found)
+        count = 0
+        if use_fine:
+            count = gather(fine_keys, fine_blocks, fine_cells, fine_cell_m, radius, x, y, z, found)
         if count >= 5 and fit_plane(found, count, radius, eigen, plane) and plane[5] < thickness_m**2:
             level = 0
         else:

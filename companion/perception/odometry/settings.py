@@ -24,11 +24,11 @@ class OdometrySettings(Settings):
     thinning_cell_m: tuple[float, float] = (0.05, 0.5)
     """Smallest and largest cell of the thinning grid."""
 
-    fine_cell_m: float = Field(default=0.2, ge=0.05, le=1.0)
+    fine_cell_m: float = Field(default=0.15, ge=0.05, le=1.0)
     """Cell of the fine map: one fused point each; planes are fitted to 3 x 3 x 3 cells."""
     coarse_cell_m: float = Field(default=0.6, ge=0.2, le=5.0)
     """Cell of the coarse map, used where the fine one is still too sparse."""
-    fine_range_m: float = Field(default=40.0, ge=5.0, le=200.0)
+    fine_range_m: float = Field(default=30.0, ge=5.0, le=200.0)
     """Farther points are too sparse for the fine map and enter the coarse one only."""
     fine_blocks: int = Field(default=131_072, ge=1024, le=1_048_576)
     """Most blocks of 2 x 2 x 2 cells kept in the fine map (152 bytes each); a power of two."""
@@ -45,10 +45,19 @@ class OdometrySettings(Settings):
     """Standard deviation added for what neighbouring points have in common: the map's own error."""
     plane_thickness_m: float = Field(default=0.1, gt=0.0, le=1.0)
     """Neighbourhoods whose points scatter more than this about their plane are not used."""
-    max_iterations: int = Field(default=4, ge=1, le=10)
+    max_iterations: int = Field(default=6, ge=1, le=20)
     """Most Gauss-Newton steps per scan."""
     min_effective_points: int = Field(default=50, ge=10, le=1000)
     """With fewer matched points a scan does not correct the state."""
+    consistent_share: float = Field(default=0.6, ge=0.0, le=1.0)
+    """When fewer of the points that found a plane agree with it, the match is searched more widely, and
+    refused if that does not help."""
+    wide_position_sigma_m: float = Field(default=0.3, gt=0.0, le=2.0)
+    """How far off the prediction may be in the wider search."""
+    wide_rotation_sigma_deg: float = Field(default=2.0, gt=0.0, le=20.0)
+    """The same for its attitude."""
+    wide_velocity_sigma: float = Field(default=1.0, gt=0.0, le=10.0)
+    """The same for its velocity, m/s."""
     degenerate_fraction: float = Field(default=0.004, ge=0.0, le=0.2)
     """A direction observed by less than this share of the scan's information is left to the IMU."""
 
@@ -73,22 +82,28 @@ class OdometrySettings(Settings):
     """Largest standard deviation of a gyro axis at rest, rad/s."""
     still_accel_sigma: float = Field(default=0.25, gt=0.0, le=5.0)
     """Largest standard deviation of an accelerometer axis at rest, m/s^2."""
-    max_gyro_bias: float = Field(default=0.1, gt=0.0, le=1.0)
+    max_gyro_bias: float = Field(default=0.03, gt=0.0, le=1.0)
     """Mean rate above which the sensor is turning rather than biased, rad/s."""
     max_gravity_error: float = Field(default=0.6, gt=0.0, le=3.0)
     """Largest difference between the mean specific force at rest and gravity, m/s^2."""
-    initial_accel_bias_sigma: float = Field(default=0.03, gt=0.0, le=1.0)
+    still_displacement_m: float = Field(default=0.05, gt=0.0, le=1.0)
+    """Largest displacement between the first and last scan of the window."""
+    initial_accel_bias_sigma: float = Field(default=0.05, gt=0.0, le=1.0)
     """Standard deviation of the accelerometer bias at start, m/s^2; sets how level the map is."""
 
     max_imu_gap_s: float = Field(default=0.6, ge=0.02, le=2.0)
     """A longer silence of the IMU restarts the odometry; a shorter one is bridged."""
     gap_accel_sigma: float = Field(default=2.0, ge=0.0, le=20.0)
-    """Acceleration that may have gone unseen during a gap or saturation, m/s^2."""
+    """Acceleration that may have gone unseen while samples are missing, m/s^2."""
     gap_rate_sigma: float = Field(default=0.5, ge=0.0, le=20.0)
-    """Rate that may have gone unseen during a gap or saturation, rad/s."""
+    """Rate that may have gone unseen while samples are missing, rad/s."""
+    saturated_accel_sigma: float = Field(default=40.0, ge=0.0, le=400.0)
+    """How far off a saturated sample may be, m/s^2."""
+    saturated_rate_sigma: float = Field(default=5.0, ge=0.0, le=70.0)
+    """How far off a saturated sample may be, rad/s."""
     degraded_after_s: float = Field(default=0.25, ge=0.1, le=5.0)
     """Without an accepted scan for this long the status is DEGRADED."""
-    lost_after_s: float = Field(default=2.0, ge=0.5, le=10.0)
+    lost_after_s: float = Field(default=4.0, ge=0.5, le=10.0)
     """Without an accepted scan for this long the status is LOST and the odometry restarts."""
 
     position_sigma_floor_m: float = Field(default=0.02, ge=0.0, le=1.0)

@@ -15,6 +15,8 @@ from companion.perception.odometry.voxel_map import VoxelMap
 
 _SMALL_STEP_M = 5e-4
 _SEARCH_AGAIN_CELLS = 0.1  # of a fine cell: planes found farther away than this are searched anew
+_LEVER_M = 10.0  # distance of a typical point, to speak of rotations in metres
+_WORST_NORMALISED_RMS = 2.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -23,20 +25,22 @@ class Correction:
 
     Attributes:
         state: the corrected state (the prediction itself when not accepted).
-        accepted: whether enough points matched to correct it.
-        matched: points with a plane whose residual passed the gate.
+        accepted: whether enough points matched, and consistently, to correct it.
         offered: points that were tried.
+        found: points that found a plane.
+        matched: points whose distance from their plane passed the gate.
         residual_rms_m: weighted root mean square of the residuals.
         normalised_rms: the same in standard deviations.
-        observability: how the six directions were observed, None when not accepted.
+        observability: how the six directions were observed, None when too few points matched.
         iterations: Gauss-Newton steps taken.
         searches: how often planes were searched.
     """
 
     state: NavigationState
     accepted: bool
-    matched: int
     offered: int
+    found: int
+    matched: int
     residual_rms_m: float
     normalised_rms: float
     observability: Observability | None
@@ -59,34 +63,57 @@ class ScanMatcher:
     def correct(
         self, predicted: NavigationState, points_imu: FloatArray, chosen: NDArray[np.int64]
     ) -> Correction:
-        """Run the iterated update.
-
-        With A = H' W H and b = -H' W r at the present iterate, whose error from the prediction is e,
-        the next error is P E (I + A E'P E)^-1 (b + A E'e), where E selects the pose; the 18 x 18 prior
-        is never inverted. Source: W. Xu et al., "FAST-LIO2", 2022, equation 19, by the matrix
-        inversion lemma.
+        """Correct a prediction; if the points contradict it, search once more and more widely.
 
         Args:
             predicted: state and covariance at the scan's end.
             points_imu: (n, 3) de-skewed points.
             chosen: (m,) indices of the points to match.
         """
+        correction = self._iterate(predicted, points_imu, chosen)
+        if correction.accepted or correction.offered < self._settings.min_effective_points:
+            return correction
+        wide = self._iterate(self.widened(predicted), points_imu, chosen)
+        return wide if wide.accepted else correction
+
+    def widened(self, predicted: NavigationState) -> NavigationState:
+        """Return a prediction that admits to be off by more than it believes."""
+        settings = self._settings
+        wide = predicted.copy()
+        sigmas = [settings.wide_position_sigma_m] * 3
+        sigmas += [float(np.radians(settings.wide_rotation_sigma_deg))] * 3
+        sigmas += [settings.wide_velocity_sigma] * 3
+        wide.covariance[range(9), range(9)] += np.square(sigmas)
+        return wide
+
+    def _iterate(
+        self, predicted: NavigationState, points_imu: FloatArray, chosen: NDArray[np.int64]
+    ) -> Correction:
+        """Run the iterated update.
+
+        With A = H' W H and b = -H' W r at the present iterate, whose error from the prediction is e,
+        the next error is P E (I + A E'P E)^-1 (b + A E'e), where E selects the pose; the 18 x 18 prior
+        is never inverted. Source: W. Xu et al., "FAST-LIO2", 2022, equation 19, by the matrix
+        inversion lemma.
+        """
         prior = predicted.covariance
         pose_prior = np.ascontiguousarray(prior[:6, :6])
         state, error = predicted, np.zeros(18)
         searched_at: NavigationState | None = None
+        # A prediction less certain than a fine cell would find the wrong ones of its planes.
+        fine = _spread_m(pose_prior) < self._settings.fine_cell_m
         observability: Observability | None = None
-        matched = iterations = searches = 0
-        A, b = self._information, self._gradient
+        found = matched = iterations = searches = 0
+        A = self._information
         reach_m = self._settings.fine_cell_m * _SEARCH_AGAIN_CELLS
-        for iteration in range(self._settings.max_iterations):
-            if searched_at is None or _displacement(searched_at, state, 10.0) > reach_m:
-                self._find_planes(state, points_imu, chosen)
+        while iterations < self._settings.max_iterations:
+            if searched_at is None or _displacement_m(searched_at, state) > reach_m:
+                found = self._find_planes(state, points_imu, chosen, fine)
                 searched_at = state
                 searches += 1
             matched = self._accumulate(state, points_imu, chosen, pose_prior)
             if matched < self._settings.min_effective_points:
-                return self._refused(predicted, matched, len(chosen), iteration, searches)
+                break
             A, b, observability = keep_observed(
                 self._information,
                 self._gradient,
@@ -96,27 +123,38 @@ class ScanMatcher:
             )
             error = prior[:, :6] @ np.linalg.solve(np.eye(6) + A @ pose_prior, b + A @ error[:6])
             previous, state = state, predicted.plus(error)
-            iterations = iteration + 1
-            if _displacement(previous, state, 10.0) < _SMALL_STEP_M:
-                break
-        gain = np.linalg.solve(np.eye(6) + A @ pose_prior, A)
-        posterior = prior - prior[:, :6] @ gain @ prior[:6, :]
-        state.covariance[:] = 0.5 * (posterior + posterior.T)
-        weight = float(self._statistics[1])
+            iterations += 1
+            if _displacement_m(previous, state) < _SMALL_STEP_M:
+                if fine:
+                    break
+                fine, searched_at = True, None
+        enough = matched >= self._settings.min_effective_points
+        weight = max(float(self._statistics[1]), 1e-12)
+        normalised_rms = float(np.sqrt(self._statistics[3] / max(matched, 1)))
+        consistent = (
+            matched >= self._settings.consistent_share * found and normalised_rms < _WORST_NORMALISED_RMS
+        )
+        if enough and consistent:
+            gain = np.linalg.solve(np.eye(6) + A @ pose_prior, A)
+            posterior = prior - prior[:, :6] @ gain @ prior[:6, :]
+            state.covariance[:] = 0.5 * (posterior + posterior.T)
         return Correction(
-            state,
-            True,
-            matched,
-            len(chosen),
-            float(np.sqrt(self._statistics[0] / weight)),
-            float(np.sqrt(self._statistics[3] / matched)),
-            observability,
-            iterations,
-            searches,
+            state=state if enough and consistent else predicted,
+            accepted=enough and consistent,
+            offered=len(chosen),
+            found=found,
+            matched=matched,
+            residual_rms_m=float(np.sqrt(self._statistics[0] / weight)),
+            normalised_rms=normalised_rms,
+            observability=observability if enough else None,
+            iterations=iterations,
+            searches=searches,
         )
 
-    def _find_planes(self, state: NavigationState, points_imu: FloatArray, chosen: NDArray[np.int64]) -> None:
-        matching_kernels.find_planes(
+    def _find_planes(
+        self, state: NavigationState, points_imu: FloatArray, chosen: NDArray[np.int64], fine: bool
+    ) -> int:
+        return matching_kernels.find_planes(
             points_imu,
             chosen,
             state.vector,
@@ -129,6 +167,7 @@ class ScanMatcher:
             self._coarse.cells,
             self._coarse.cell_m,
             self._settings.plane_thickness_m,
+            fine,
             self._planes,
         )
 
@@ -153,15 +192,15 @@ class ScanMatcher:
             self._statistics,
         )
 
-    @staticmethod
-    def _refused(
-        predicted: NavigationState, matched: int, offered: int, iterations: int, searches: int
-    ) -> Correction:
-        return Correction(predicted, False, matched, offered, 0.0, 0.0, None, iterations, searches)
+
+def _spread_m(pose_covariance: FloatArray) -> float:
+    """Return the standard deviation of where a typical point lies, metres."""
+    position = max(0.0, float(np.trace(pose_covariance[:3, :3])))
+    turn = max(0.0, float(np.trace(pose_covariance[3:, 3:])))
+    return float(np.sqrt(position + _LEVER_M**2 * turn))
 
 
-def _displacement(before: NavigationState, after: NavigationState, lever_m: float) -> float:
-    """Return how far a point at `lever_m` may have moved between two states, metres."""
-    turn = before.R_map_imu.T @ after.R_map_imu
-    angle = float(np.linalg.norm(turn - np.eye(3))) / np.sqrt(2.0)
-    return float(np.linalg.norm(after.vector[P] - before.vector[P])) + lever_m * float(angle)
+def _displacement_m(before: NavigationState, after: NavigationState) -> float:
+    """Return how far a typical point may have moved between two states, metres."""
+    turn = float(np.linalg.norm(after.R_map_imu - before.R_map_imu)) / np.sqrt(2.0)
+    return float(np.linalg.norm(after.vector[P] - before.vector[P]) + _LEVER_M * turn)

@@ -138,11 +138,12 @@ class Trajectory:
 
     def pose(self, t: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Return body positions (n, 3) and rotation matrices (n, 3, 3) in the world at times (n,) s."""
-        return np.asarray(self._p(t)), np.asarray(self._R(t).as_matrix())
+        times = np.asarray(t, dtype=np.float64)
+        return np.asarray(self._p(times)), np.asarray(self._R(times).as_matrix())
 
     def velocity(self, t: ArrayLike) -> FloatArray:
         """Return body velocities (n, 3) in the world."""
-        return np.asarray(self._v(t))
+        return np.asarray(self._v(np.asarray(t, dtype=np.float64)))
 
     def rates(self, t: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return acceleration in the world, angular rate and acceleration in the body, each (n, 3)."""
