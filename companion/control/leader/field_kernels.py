@@ -69,7 +69,11 @@ def find_nearest(
 def repulsion(
     sectors: FloatArray, vehicle_radius: float, gain: float, distance: float, limit: float
 ) -> tuple[float, float]:
-    """Sum of the sectors' repulsions, gain (1/rho - 1/distance) / rho^2 each, cut at `limit`.
+    """Sum of the sectors' repulsions, gain (1/rho - 1/rho_0) / rho^2 each, cut at `limit`.
+
+    The room rho_0 beyond which a sector does not repel is `distance`, or half of what lies between it and
+    the opposite sector if that is less: two walls then push towards the middle, and not against each other
+    with forces so steep that a slow vehicle swings between them.
 
     Args:
         sectors: (k, 3) unit direction to the nearest obstacle and its distance, m.
@@ -83,12 +87,19 @@ def repulsion(
 
     Source: O. Khatib, "Real-time obstacle avoidance for manipulators and mobile robots", 1986, eq. 18.
     """
+    count = sectors.shape[0]
     force_x = 0.0
     force_y = 0.0
-    for sector in range(sectors.shape[0]):
+    for sector in range(count):
         room = max(sectors[sector, 2] - vehicle_radius, _LEAST_ROOM_M)
-        if room < distance:
-            strength = min(gain * (1.0 / room - 1.0 / distance) / (room * room), limit)
+        opposite = max(sectors[(sector + count // 2) % count, 2] - vehicle_radius, _LEAST_ROOM_M)
+        reach = min(distance, 0.5 * (room + opposite))
+        if room < reach:
+            strength = min(gain * (1.0 / room - 1.0 / reach) / (room * room), limit)
             force_x -= strength * sectors[sector, 0]
             force_y -= strength * sectors[sector, 1]
+    total = math.sqrt(force_x * force_x + force_y * force_y)
+    if total > limit:
+        force_x *= limit / total
+        force_y *= limit / total
     return force_x, force_y

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from companion.control.leader import map_kernels
+from companion.control.leader import map_kernels, rrt_kernels
 from companion.control.leader.settings import ObstacleMapSettings
 from companion.messages import FloatArray, RegisteredScan
 
@@ -41,6 +41,19 @@ class ClearanceField:
     blocked: NDArray[np.uint8]
     surface: NDArray[np.float32]
     first: NDArray[np.int64]
+
+    def clearance(self, point: FloatArray) -> float:
+        """Distance from a point (2,) of the map to the nearest obstacle, m; 100 outside the square."""
+        return rrt_kernels.clearance_at(
+            self.distance, self.corner_map[0], self.corner_map[1], self.cell_m, point[0], point[1]
+        )
+
+    def is_segment_free(self, start: FloatArray, end: FloatArray, clearance: float, ends: FloatArray) -> bool:
+        """Whether a straight line keeps `clearance`; `ends` (2, 3) are points where less is granted."""
+        return rrt_kernels.segment_free(
+            self.distance, self.corner_map[0], self.corner_map[1], self.cell_m, start[0], start[1],
+            end[0], end[1], clearance, ends,
+        )  # fmt: skip
 
 
 class ObstacleMap:

@@ -145,9 +145,10 @@ class LeaderPlanner:
         else:
             field = self._map.field
             p = p_map[:2] + settings.prediction_s * v_now[:2]
-            ahead = self._route.ahead(field, p, settings.look_ahead_m)
+            ahead, is_open = self._route.ahead(field, p, settings.look_ahead_m)
+            speed = min(speed, self._field.speed_limit(field, p, ahead))
             beyond = self._route.beyond(settings.look_ahead_m + _BEYOND_M)
-            target[:2] = self._field.velocity(field, p, ahead, beyond, speed, distance)
+            target[:2] = self._field.velocity(field, p, ahead, beyond, speed, distance, is_open)
         size = float(np.linalg.norm(target))
         limit = self._settings.mission.max_speed_mps
         if size > limit:

@@ -36,6 +36,7 @@ class PotentialField:
         beyond: FloatArray,
         speed: float,
         goal_distance: float,
+        is_open: bool,
     ) -> FloatArray:
         """Return the horizontal velocity that follows the path and keeps away from obstacles.
 
@@ -46,6 +47,8 @@ class PotentialField:
             beyond: (2,) point farther on, which settles the side on which to pass an obstacle, m.
             speed: greatest speed, m/s.
             goal_distance: horizontal distance to the waypoint, m.
+            is_open: whether the straight line to `ahead` is free; obstacles beside it may then slow the
+                vehicle down and push it sideways, but not stop it in front of a gate.
 
         Returns:
             (2,) m/s in the map, finite, never longer than `speed`.
@@ -59,7 +62,11 @@ class PotentialField:
         push *= min(1.0, goal_distance / settings.repulsion_distance_m)
         force = settings.attraction * direction + push
         push_length = math.hypot(push[0], push[1])
-        if push_length > _NO_DIRECTION and float(force @ direction) < settings.escape_threshold:
+        drive = float(force @ direction)
+        if is_open:
+            force = force + max(settings.least_drive - drive, 0.0) * direction
+            self._side = 0.0
+        elif push_length > _NO_DIRECTION and drive < settings.escape_threshold:
             tangent = np.array([-push[1], push[0]]) / push_length
             if self._side == 0.0:
                 self._side = 1.0 if float(tangent @ (beyond - p)) >= 0.0 else -1.0
@@ -68,6 +75,13 @@ class PotentialField:
             self._side = 0.0
         length = math.hypot(force[0], force[1])
         return speed / max(1.0, length) * force
+
+    def speed_limit(self, field: ClearanceField, p: FloatArray, ahead: FloatArray) -> float:
+        """Return the speed that the room at `p` and `ahead`, (2,) each, allows, m/s."""
+        settings = self._settings
+        clearance = min(field.clearance(p), field.clearance(ahead))
+        room = clearance - self._vehicle_radius
+        return max(settings.speed_per_room_per_s * room, settings.least_speed_mps)
 
     def _repulsion(self, field: ClearanceField, p: FloatArray) -> FloatArray:
         settings = self._settings

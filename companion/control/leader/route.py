@@ -107,23 +107,19 @@ class Route:
         self._blocked = False
         return True
 
-    def ahead(self, field: ClearanceField, p: FloatArray, look_ahead: float) -> FloatArray:
-        """Return the point of the path to head for, (2,): `look_ahead` metres on, nearer in tight bends.
+    def ahead(self, field: ClearanceField, p: FloatArray, look_ahead: float) -> tuple[FloatArray, bool]:
+        """Return the point of the path to head for, (2,), and whether the straight line to it is free.
 
-        The straight line to it keeps the path's clearance, so no corner is cut.
+        It lies `look_ahead` metres on, and nearer where the straight line would cut a corner.
         """
         path = self._present()
-        room = rrt_kernels.clearance_at(
-            field.distance, field.corner_map[0], field.corner_map[1], field.cell_m, p[0], p[1]
-        )
-        ends = np.array([[p[0], p[1], room - _CLEARANCE_SLACK_M], path.ends[1]])
+        ends = np.array([[p[0], p[1], field.clearance(p) - _CLEARANCE_SLACK_M], path.ends[1]])
+        wanted = path.clearance - _CLEARANCE_SLACK_M
         while True:
             point = np.array(rrt_kernels.point_at(path.points, self._s + look_ahead))
-            if look_ahead <= _LEAST_LOOK_AHEAD_M or rrt_kernels.segment_free(
-                field.distance, field.corner_map[0], field.corner_map[1], field.cell_m, p[0], p[1],
-                point[0], point[1], path.clearance - _CLEARANCE_SLACK_M, ends,
-            ):  # fmt: skip
-                return point
+            is_open = field.is_segment_free(p, point, wanted, ends)
+            if is_open or look_ahead <= _LEAST_LOOK_AHEAD_M:
+                return point, is_open
             look_ahead = max(0.75 * look_ahead, _LEAST_LOOK_AHEAD_M)
 
     def beyond(self, distance: float) -> FloatArray:
@@ -179,11 +175,12 @@ class Route:
             return None
         goal = found.points[-1]
         ends = np.stack([path.ends[0], found.ends[1]])
+        wanted = path.clearance - _CLEARANCE_SLACK_M
         candidate = np.concatenate([rest, goal[None, :]])
         # The old end need not be visited when the new goal can be seen from the point before it.
-        if rest.shape[0] >= 2 and self._segment_free(field, rest[-2], goal, path.clearance, ends):
+        if rest.shape[0] >= 2 and field.is_segment_free(rest[-2], goal, wanted, ends):
             candidate = np.concatenate([rest[:-1], goal[None, :]])
-        elif not self._segment_free(field, rest[-1], goal, path.clearance, ends):
+        elif not field.is_segment_free(rest[-1], goal, wanted, ends):
             return None
         if _length(candidate) > self._settings.keep_ratio * _length(found.points):
             return None
@@ -211,14 +208,6 @@ class Route:
             path.clearance - _CLEARANCE_SLACK_M, path.ends, path.points, self._s, s_to,
         )  # fmt: skip
         return walked >= s_to - self._s - 1e-6
-
-    def _segment_free(
-        self, field: ClearanceField, a: FloatArray, b: FloatArray, clearance: float, ends: FloatArray
-    ) -> bool:
-        return rrt_kernels.segment_free(
-            field.distance, field.corner_map[0], field.corner_map[1], field.cell_m, a[0], a[1], b[0], b[1],
-            clearance - _CLEARANCE_SLACK_M, ends,
-        )  # fmt: skip
 
     def _reachable_goal(self, field: ClearanceField, p: FloatArray, t_ns: int) -> FloatArray:
         """Return where to stop for the waypoint, after long vain attempts the nearest place reachable."""

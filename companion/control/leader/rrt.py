@@ -90,13 +90,13 @@ class RrtPlanner:
                 point = waypoint + radius * np.array([math.cos(angle), math.sin(angle)])
                 # Twice the offset: near the waypoint, and on this side of the obstacle when that is equal.
                 cost = 2.0 * radius + float(np.hypot(*(point - start)))
-                if cost < least and _room(field, point) >= wanted:
+                if cost < least and field.clearance(point) >= wanted:
                     best, least = point, cost
         return best
 
     def is_free(self, field: ClearanceField, point: FloatArray) -> bool:
         """Whether the vehicle may be at a point (2,) at all."""
-        return _room(field, point) >= self.least_clearance
+        return field.clearance(point) >= self.least_clearance
 
     def local_goal(
         self,
@@ -117,7 +117,7 @@ class RrtPlanner:
             return goal
         angles = math.atan2(offset[1], offset[0]) + np.arange(0.0, 2.0 * np.pi, _CIRCLE_STEP)
         circle = start + radius * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-        rooms = np.array([_room(field, point) for point in circle])
+        rooms = np.array([field.clearance(point) for point in circle])
         cost = _cost_to_go(circle, goal, visited)
         if previous is not None:
             cost = cost + _CHANGE_OF_MIND * np.hypot(*(circle - previous).T)
@@ -144,7 +144,7 @@ class RrtPlanner:
         detour: LocalPath | None = None
         for clearance in self.clearances:
             ends = np.array([[*start, self._granted(field, start)], [*goal, self._granted(field, goal)]])
-            if _free(field, start, goal, clearance, ends):
+            if field.is_segment_free(start, goal, clearance, ends):
                 points = np.stack([start, goal])
                 return LocalPath(SearchStatus.REACHED, points, clearance, ends, nodes)
             tree, parents, reached = self._tree(field, clearance, ends)
@@ -176,7 +176,7 @@ class RrtPlanner:
         return None
 
     def _granted(self, field: ClearanceField, point: FloatArray) -> float:
-        return _room(field, point) - _GRANTED_SLACK_M
+        return field.clearance(point) - _GRANTED_SLACK_M
 
     def _tree(
         self, field: ClearanceField, clearance: float, ends: FloatArray
@@ -225,18 +225,3 @@ def _cost_to_go(points: FloatArray, goal: FloatArray, visited: FloatArray) -> Fl
     gaps = np.hypot(*(points[:, None, :] - visited[None, :, :]).transpose(2, 0, 1))
     visits = np.count_nonzero(gaps < _BEEN_THERE_M, axis=1)
     return np.asarray(np.hypot(*(points - goal).T) + _BEEN_THERE_COST_M * visits)
-
-
-def _room(field: ClearanceField, point: FloatArray) -> float:
-    return rrt_kernels.clearance_at(
-        field.distance, field.corner_map[0], field.corner_map[1], field.cell_m, point[0], point[1]
-    )
-
-
-def _free(
-    field: ClearanceField, start: FloatArray, end: FloatArray, clearance: float, ends: FloatArray
-) -> bool:
-    return rrt_kernels.segment_free(
-        field.distance, field.corner_map[0], field.corner_map[1], field.cell_m, start[0], start[1],
-        end[0], end[1], clearance, ends,
-    )  # fmt: skip

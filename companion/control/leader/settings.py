@@ -120,11 +120,17 @@ class PotentialFieldSettings(Settings):
     repulsion_distance_m: float = Field(default=2.0, gt=0.1, le=10.0)
     """Room between hull and obstacle beyond which nothing repels."""
     max_repulsion: float = Field(default=1.5, ge=0.0, le=10.0)
-    """Limit of one sector's repulsion."""
+    """Limit of one sector's repulsion, and of the sum."""
     sectors: int = Field(default=24, ge=4, le=360)
     """Directions in which the nearest obstacle repels."""
     escape_threshold: float = Field(default=0.2, ge=-1.0, le=1.0)
-    """A force that drives along the path by less than this gets a tangential part."""
+    """A force along the path weaker than this gets a tangential part when the line ahead is not free."""
+    least_drive: float = Field(default=0.5, ge=0.0, le=1.0)
+    """Least force along the path while the straight line to the point ahead is free."""
+    speed_per_room_per_s: float = Field(default=1.5, gt=0.0, le=10.0)
+    """Speed allowed per metre of room between hull and obstacles: slower where it is tight."""
+    least_speed_mps: float = Field(default=0.3, gt=0.0, le=2.0)
+    """Speed allowed however tight it is."""
     prediction_s: float = Field(default=0.3, ge=0.0, le=2.0)
     """Forces are taken where the vehicle will be after this time, to make up for its slow response."""
     low_pass_s: float = Field(default=0.25, ge=0.0, le=5.0)
