@@ -49,7 +49,7 @@ class EstimatorSettings(Settings):
     """Time from the first step to the first GNSS fix."""
     coasting_acceleration_m_s2: float = Field(0.175, ge=0.0, le=5.0)
     """Error of the propagated acceleration while nothing aids it (a tilt error of about 1 deg)."""
-    coasting_velocity_m_s: float = Field(0.36, ge=0.0, le=5.0)
+    coasting_velocity_m_s: float = Field(0.45, ge=0.0, le=5.0)
     """Velocity error that builds up within half a second after aiding ends."""
     process_noise_m2_s3: float = Field(1.5e-3, gt=0.0, le=1.0)
     """Acceleration noise density that the covariance assumes."""

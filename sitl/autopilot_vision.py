@@ -59,13 +59,16 @@ class VisionFusion:
             )
         if not self.yaw.active and int(self._parameters["EKF2_MAG_TYPE"]) == _MAG_TYPE_NONE:
             return
+        # A heading correction turns what a body velocity means, so the past is read anew.
+        past = self._motion.at(t_sample_ns) or past
+        if control & _VELOCITY and sample.v is not None:
+            self._fuse_velocity(t_ns, sample, _velocity(sample, sample.v, past), past)
         if sample.p_local is not None:
+            past = self._motion.at(t_sample_ns) or past
             if control & _HORIZONTAL and not gnss_active:
                 self._fuse_position(t_ns, sample, sample.p_local, past, jumped)
             if control & _VERTICAL and int(self._parameters["EKF2_HGT_REF"]) == 3:
                 self._fuse_height(t_ns, sample, sample.p_local[2], past, jumped)
-        if control & _VELOCITY and sample.v is not None:
-            self._fuse_velocity(t_ns, sample, _velocity(sample, sample.v, past), past)
 
     def stop_silent(self, t_ns: int) -> bool:
         """Stop every aid whose data has stopped; return whether the heading lost its source."""
@@ -110,7 +113,7 @@ class VisionFusion:
             motion.jump((d_x, d_y, 0.0))
             motion.horizontal.reset(variance, max(motion.horizontal.velocity, 0.01))
             self.position.fused(t_ns)
-            if starts:
+            if starts and not self.velocity.active:
                 v = (0.0, 0.0, 0.0) if sample.v is None else _velocity(sample, sample.v, past)
                 motion.correct_axis(0, 0.0, v[0] - motion.v_local[0])
                 motion.correct_axis(1, 0.0, v[1] - motion.v_local[1])
