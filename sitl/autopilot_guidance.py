@@ -62,6 +62,8 @@ class Guidance:
     def armed_at(self, t_ns: int, estimator: Estimator) -> None:
         """Note that motors started: home is here, and the thrust ramp begins."""
         self.p_home = estimator.p_local
+        self._p_shift = estimator.motion.p_shift
+        self._p_hold = None
         self._t_takeoff_ns = t_ns
         self._mode = None
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from companion.messages import LandedState, VehicleMode
-from sitl.autopilot_inputs import ExternalVision, OffboardSetpoint, Sticks
+from sitl.autopilot_inputs import ExternalVision, OffboardSetpoint, Sticks, Vector
 from sitl.autopilot_modes import CommandResult
 from sitl.autopilot_parameters import Parameters
 from tests.sitl.autopilot_rig import Rig
@@ -35,6 +35,16 @@ def test_without_gnss_takeoff_mode_arms_climbs_and_stays_in_takeoff() -> None:
     assert rig.landed_state() is LandedState.IN_AIR
     assert rig.body.p[2] == pytest.approx(2.0, abs=0.1)
     assert np.hypot(*rig.body.p[:2]) < 0.1
+
+
+def test_takeoff_counts_height_and_place_from_where_motors_started() -> None:
+    rig = Rig({"MIS_TAKEOFF_ALT": 2.0})
+    rig.change = lambda sample: _moved(replace(sample, p_local=_raised(sample, 0.7)), 5.0, 0)
+    rig.take_off()
+    rig.run(5.0)
+    assert rig.body.p[2] == pytest.approx(2.0, abs=0.06)
+    assert np.hypot(*rig.body.p[:2]) < 0.1
+    assert rig.autopilot.estimator.p_local == pytest.approx((5.0, 0.0, 2.7), abs=0.1)
 
 
 def test_with_gnss_takeoff_ends_in_hold() -> None:
@@ -232,6 +242,11 @@ def _stick(rig: Rig, pitch: float, seconds: float) -> None:
     for _ in range(round(seconds / 0.05)):
         rig.autopilot.pilot_sticks(rig.t_ns, Sticks(pitch=pitch))
         rig.run(0.05)
+
+
+def _raised(sample: ExternalVision, height: float) -> Vector:
+    x, y, z = sample.p_local or (0.0, 0.0, 0.0)
+    return (x, y, z + height)
 
 
 def _moved(sample: ExternalVision, distance: float, counter: int) -> ExternalVision:
