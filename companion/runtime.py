@@ -87,14 +87,14 @@ class Flight:
             StartError: if a driver cannot start; the text names the stage.
         """
         self._loop = asyncio.get_running_loop()
+        for part in _PARTS:
+            self._service.liveness.require(part)
         async with contextlib.AsyncExitStack() as drivers:
             if await self._start_unless_stopped(drivers):
                 await self._fly()
         return FlightOutcome(self._exchange.state, self._service.stop.reason, self._flight_log.path)
 
     async def _fly(self) -> None:
-        for part in _PARTS:
-            self._service.liveness.require(part)
         tasks = [
             asyncio.create_task(self._decide_forever(), name="decision"),
             asyncio.create_task(self._send_forever(), name="sending"),

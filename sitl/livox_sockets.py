@@ -16,6 +16,7 @@ from companion.clock import SystemClock
 from companion.drivers.livox_protocol import BROADCAST_IP
 from companion.messages import Datagram
 from sitl.livox_emulator import LivoxEmulator
+from sitl.network import Network
 from sitl.slots import InertialSlot, PointSlots
 
 MAX_DATAGRAM_SIZE = 2048
@@ -29,14 +30,22 @@ _log = structlog.get_logger(__name__)
 class LivoxSockets:
     """Carries one emulator's datagrams; its methods may be called from any thread."""
 
-    def __init__(self, emulator: LivoxEmulator, clock: SystemClock, hears_broadcast: bool = True) -> None:
+    def __init__(
+        self,
+        emulator: LivoxEmulator,
+        clock: SystemClock,
+        hears_broadcast: bool = True,
+        network: Network | None = None,
+    ) -> None:
         """Prepare; nothing is opened before `start`.
 
         Args:
             emulator: the sensor; from now on only to be used through this object.
             clock: host time, the same that the emulator's power-on refers to.
             hears_broadcast: also answer searches sent to 255.255.255.255.
+            network: what happens to points and inertial samples on their way; nothing by default.
         """
+        self._network = network
         self._emulator = emulator
         self._clock = clock
         self._hears_broadcast = hears_broadcast
@@ -95,12 +104,12 @@ class LivoxSockets:
     def points(self, slots: PointSlots) -> int:
         """Queue the packets that these slots complete, each for its own time; return how many."""
         with self._lock:
-            return self._enqueue(self._emulator.points(slots))
+            return self._enqueue(self._carried(self._emulator.points(slots)))
 
     def inertial(self, slot: InertialSlot) -> int:
         """Queue the packet of one inertial sample for its own time; return how many, 0 or 1."""
         with self._lock:
-            return self._enqueue(self._emulator.inertial(slot))
+            return self._enqueue(self._carried(self._emulator.inertial(slot)))
 
     def send(self, datagrams: Iterable[Datagram]) -> int:
         """Queue datagrams from the sensor's ports, each for its own time; return how many."""
@@ -112,6 +121,11 @@ class LivoxSockets:
         with self._lock:
             self._queue.clear()
             self._emulator.power_cycle(boot_host_ns)
+
+    def _carried(self, datagrams: list[Datagram]) -> list[Datagram]:
+        if self._network is None:
+            return datagrams
+        return [copy for datagram in datagrams for copy in self._network.carry(datagram)]
 
     def _enqueue(self, datagrams: Iterable[Datagram]) -> int:
         count = 0

@@ -37,7 +37,7 @@ class Lockstep:
         self._livox = build_livox(stage, BOOT_NS)
         self._network = Network(scenario.network, stage.generator("network"), BOOT_NS)
         self._operator = build_operator(stage)
-        self._referee = Referee(stage, self._vehicle)
+        self._referee = Referee(stage, BOOT_NS)
         self._companion = SteppedCompanion(
             profile,
             log,
@@ -59,9 +59,9 @@ class Lockstep:
 
     def step(self) -> None:
         """Advance everything by 5 ms."""
-        measured, outgoing = self._vehicle.step()
+        measured = self._vehicle.step()
         t_ns = self._vehicle.t_ns
-        self._dispatch(outgoing)
+        self._dispatch(self._vehicle.mavlink.poll(t_ns))
         lidar = self._livox.inertial(measured.inertial) + self._livox.points(measured.slots)
         for datagram in lidar + self._livox.poll(t_ns):
             self._network.send(datagram)
@@ -83,7 +83,7 @@ class Lockstep:
         if t_ns >= self._next_truth_ns:
             self._next_truth_ns = t_ns + _TRUTH_PERIOD_NS
             self._log.write(channels.TRUTH, self._vehicle.true_pose(), t_ns)
-        self._referee.watch(t_ns)
+        self._referee.watch(self._vehicle.sighting())
 
     def _dispatch(self, outgoing: list[Outgoing]) -> None:
         """Bytes for the companion arrive with the next step; the operator hears at once."""

@@ -32,6 +32,10 @@ class NetworkSettings(Settings):
     """Length of that silence."""
 
 
+_CHANCES = 4096
+_PER_DATAGRAM = 4
+
+
 class Network:
     """Delivers datagrams late, twice or never; deterministic for a given generator."""
 
@@ -39,6 +43,7 @@ class Network:
         """Begin empty; `start_ns` is the moment of power-on."""
         self._settings = settings
         self._rng = rng
+        self._chances: list[list[float]] = []
         self._waiting: list[tuple[int, int, Datagram]] = []
         self._count = 0
         self._outage_ns = (0, 0)
@@ -46,24 +51,35 @@ class Network:
             begin_ns = start_ns + seconds_to_ns(settings.outage_at_s)
             self._outage_ns = (begin_ns, begin_ns + seconds_to_ns(settings.outage_s))
 
+    def carry(self, datagram: Datagram) -> list[Datagram]:
+        """Return what becomes of one datagram sent at its `t_ns`: none, one or two, stamped with arrival."""
+        if self._outage_ns[0] <= datagram.t_ns < self._outage_ns[1]:
+            return []
+        if not self._chances:
+            self._chances = self._rng.random((_CHANCES, _PER_DATAGRAM)).tolist()
+        fate_loss, fate_twice, *waits = self._chances.pop()
+        settings = self._settings
+        if fate_loss < settings.loss:
+            return []
+        return [
+            Datagram(
+                datagram.t_ns + int(1e6 * (settings.latency_ms + wait * settings.jitter_ms)),
+                datagram.source,
+                datagram.destination,
+                datagram.payload,
+            )
+            for wait in waits[: 2 if fate_twice < settings.duplication else 1]
+        ]
+
     def send(self, datagram: Datagram) -> None:
         """Put one datagram on the wire at its `t_ns`."""
-        if self._outage_ns[0] <= datagram.t_ns < self._outage_ns[1]:
-            return
-        fate_loss, fate_twice, *waits = self._rng.random(4)
-        if fate_loss < self._settings.loss:
-            return
-        for wait in waits[: 2 if fate_twice < self._settings.duplication else 1]:
-            delay_ms = self._settings.latency_ms + wait * self._settings.jitter_ms
+        for copy in self.carry(datagram):
             self._count += 1
-            heapq.heappush(
-                self._waiting, (datagram.t_ns + seconds_to_ns(1e-3 * delay_ms), self._count, datagram)
-            )
+            heapq.heappush(self._waiting, (copy.t_ns, self._count, copy))
 
     def deliver(self, t_ns: int) -> list[Datagram]:
-        """Return what has arrived by `t_ns`, stamped with its time of arrival, in order of arrival."""
+        """Return what has arrived by `t_ns`, in the order of arrival."""
         arrived: list[Datagram] = []
         while self._waiting and self._waiting[0][0] <= t_ns:
-            arrival_ns, _, datagram = heapq.heappop(self._waiting)
-            arrived.append(Datagram(arrival_ns, datagram.source, datagram.destination, datagram.payload))
+            arrived.append(heapq.heappop(self._waiting)[2])
         return arrived

@@ -132,8 +132,14 @@ def load_scenario(path: Path) -> Scenario:
     return load(path, Scenario)
 
 
-def set_stage(scenario: Scenario, folder: Path, seed: int | None) -> Stage:
-    """Build the world and the start for one seed (the scenario's own by default).
+def set_stage(scenario: Scenario, folder: Path, seed: int | None, T_world_start: Pose | None = None) -> Stage:
+    """Build the world and the start.
+
+    Args:
+        scenario: what happens.
+        folder: of the scenario's file, to which the profile's name is relative.
+        seed: instead of the scenario's own.
+        T_world_start: where the vehicle stands, if somebody else has decided that already.
 
     Raises:
         ProfileError: if the vehicle's profile is wrong.
@@ -146,7 +152,11 @@ def set_stage(scenario: Scenario, folder: Path, seed: int | None) -> Stage:
     rng = np.random.default_rng(seeds)
     yaw = rng.uniform(-np.pi, np.pi) if scenario.start_yaw_deg is None else np.radians(scenario.start_yaw_deg)
     standing_m = scenario.quadrotor.ground_height_m + scenario.quadrotor.standing_height_m
-    T_world_start = Pose.of([*scenario.start_world_m, standing_m], rotation.from_yaw(yaw))
+    if T_world_start is None:
+        T_world_start = Pose.of([*scenario.start_world_m, standing_m], rotation.from_yaw(yaw))
+    else:
+        start_xy = (float(T_world_start.p[0]), float(T_world_start.p[1]))
+        scenario = scenario.model_copy(update={"start_world_m": start_xy})
     waypoints = profile.leader.mission.waypoints_m if profile.leader is not None else []
     goal_world = T_world_start.transform(waypoints[-1] if waypoints else [0.0, 0.0, 0.0])
     return Stage(

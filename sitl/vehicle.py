@@ -8,9 +8,10 @@ from sitl.autopilot import Autopilot, AutopilotSettings
 from sitl.autopilot_parameters import GNSS_DENIED, Parameters
 from sitl.dynamics import STEP_NS
 from sitl.livox_emulator import LivoxEmulator, LivoxEmulatorSettings
-from sitl.mavlink_emulator import MavlinkEmulator, Outgoing
+from sitl.mavlink_emulator import MavlinkEmulator
 from sitl.operator import Operator, OperatorSettings
 from sitl.operator_script import takeoff_and_authorise
+from sitl.referee import Sighting
 from sitl.scenario import Stage
 from sitl.sensor_rig import SensorRig
 from sitl.sensors.imu import ImuModel, ImuSettings
@@ -57,7 +58,6 @@ class SimulatedVehicle:
     def __init__(self, stage: Stage, boot_ns: int) -> None:
         """Switch everything on at host time `boot_ns`, standing at the start."""
         scenario = stage.scenario
-        self._stage = stage
         self._t_ns = boot_ns
         self.airframe = Airframe(
             stage.T_world_start,
@@ -83,27 +83,27 @@ class SimulatedVehicle:
         """Present time on the host's clock."""
         return self._t_ns
 
-    @property
-    def on_ground_disarmed(self) -> bool:
-        """The vehicle stands with stopped motors."""
-        return not self.autopilot.armed and self.autopilot.landed
-
-    def step(self) -> tuple[Measured, list[Outgoing]]:
-        """Move on by 5 ms; return what the sensor measured and the MAVLink datagrams now due."""
+    def step(self) -> Measured:
+        """Move on by 5 ms; return what the sensor measured."""
         t_ns = self._t_ns + STEP_NS
         command = self.autopilot.step(self._t_ns, self.airframe.truth(self._t_ns))
         start = self.airframe.kinematics
         self.airframe.step(command)
         slots, inertial = self._sensors.step(start, self.airframe.kinematics, STEP_NS, self.airframe.thrust)
         self._t_ns = t_ns
-        return Measured(slots, inertial), self.mavlink.poll(t_ns)
+        return Measured(slots, inertial)
 
     def true_pose(self) -> StampedPose:
         """Return the body's true pose in the world, for the log."""
         motion = self.airframe.kinematics
         return StampedPose(self._t_ns, "world", motion.p_world, motion.q_world_body)
 
-    def goal_distance_m(self) -> float:
-        """Return the horizontal distance to the goal."""
-        offset = self.airframe.kinematics.p_world - self._stage.goal_world
-        return float((offset[0] ** 2 + offset[1] ** 2) ** 0.5)
+    def sighting(self) -> Sighting:
+        """Return what can be seen of the vehicle from outside."""
+        return Sighting(
+            t_ns=self._t_ns,
+            p_world=self.airframe.kinematics.p_world,
+            landed=self.autopilot.landed,
+            armed=self.autopilot.armed,
+            collisions=self.airframe.collisions,
+        )

@@ -1,15 +1,20 @@
-"""Makes a complete log of one that was never closed."""
+"""Makes a complete log of one that was never closed, or of one that others have something to add to."""
 
+import math
 import os
+from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
 from io import FileIO
 from pathlib import Path
 
 from companion.clock import ns_to_seconds
 from companion.errors import LogError
+from companion.logs.codec import codec_of
 from companion.logs.container import ContainerWriter
 from companion.logs.container_reader import ContainerReader, RawAttachment, RawChannel, RawMetadata
 from companion.logs.log_file import UNFINISHED_SUFFIX
+from companion.logs.log_queue import LogEntry
 
 _CHUNK_BYTES = 64 * 1024
 _COMPRESSION_LEVEL = 1
@@ -83,9 +88,44 @@ def recover(path: Path, output: Path | None = None) -> Recovery:
     )
 
 
-def _copy(reader: ContainerReader, file: FileIO) -> tuple[int, float]:
+def add_messages(path: Path, additions: Sequence[LogEntry], output: Path) -> None:
+    """Copy a log and insert messages by their time; the old file stays.
+
+    Args:
+        path: a log.
+        additions: messages in the order of their times.
+        output: the new log.
+
+    Raises:
+        LogError: if `path` is no log, or `output` exists or cannot be written.
+    """
+    try:
+        with FileIO(output, "x") as file:
+            _copy(ContainerReader(path), file, additions)
+    except OSError as error:
+        raise LogError(f"{output}: cannot be written: {error.strerror}") from error
+
+
+def _copy(reader: ContainerReader, file: FileIO, additions: Sequence[LogEntry] = ()) -> tuple[int, float]:
     """Return the number of messages copied and the seconds they span."""
     container = ContainerWriter(file, chunk_bytes=_CHUNK_BYTES, compression_level=_COMPRESSION_LEVEL)
+    added_ids: dict[str, int] = {}
+    waiting = deque(additions)
+
+    def add_until(t_ns: float) -> None:
+        while waiting and waiting[0].t_ns <= t_ns:
+            entry = waiting.popleft()
+            topic, codec = entry.channel.topic, codec_of(entry.channel)
+            if topic not in added_ids:
+                added_ids[topic] = container.add_channel(
+                    topic,
+                    codec.message_encoding,
+                    schema_name=entry.channel.schema,
+                    schema_encoding=codec.schema_encoding,
+                    schema=codec.schema,
+                )
+            container.add_message(added_ids[topic], entry.sequence, entry.t_ns, codec.encode(entry.message))
+
     ids: dict[RawChannel, int] = {}
     messages = 0
     first_ns = last_ns = 0
@@ -103,9 +143,11 @@ def _copy(reader: ContainerReader, file: FileIO) -> tuple[int, float]:
                     schema_encoding=item.channel.schema_encoding,
                     schema=item.channel.schema,
                 )
+            add_until(item.t_ns)
             container.add_message(ids[item.channel], item.sequence, item.t_ns, item.data)
             first_ns = item.t_ns if messages == 0 else min(first_ns, item.t_ns)
             last_ns = max(last_ns, item.t_ns)
             messages += 1
+    add_until(math.inf)
     container.finish()
     return messages, ns_to_seconds(last_ns - first_ns)

@@ -111,7 +111,8 @@ TRANSITIONS: dict[FlightState, tuple[Transition, ...]] = {
         Transition(lambda f: f.link and f.on_ground, FlightState.DONE, "landed and disarmed"),
         _STOPPED,
         Transition(
-            lambda f: f.link and f.mode not in (VehicleMode.OFFBOARD, VehicleMode.LAND),
+            # On touch-down the autopilot disarms and changes the mode by itself.
+            lambda f: f.link and f.airborne and f.mode not in (VehicleMode.OFFBOARD, VehicleMode.LAND),
             FlightState.PILOT,
             "autopilot left OFFBOARD",
         ),
