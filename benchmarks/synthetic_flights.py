@@ -91,7 +91,7 @@ class Flight:
     v_world: FloatArray
 
     def truth(self, t_sensor_ns: NDArray[np.int64]) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return p (n, 3), q (n, 4) and v (n, 3) of the body in the map at sensor times of the truth's grid."""
+        """Return p (n, 3), q (n, 4), v (n, 3) of the body in the map at sensor times of the truth's grid."""
         index = np.searchsorted(self.t_sensor_ns, t_sensor_ns)
         back = rotation.from_yaw(-rotation.yaw_of(self.q_world_body[0]))
         return (
@@ -117,7 +117,7 @@ def fly(
     )
     events: list[ImuSample | LidarScan] = []
     truth: list[tuple[int, FloatArray, FloatArray, FloatArray]] = []
-    pieces: list[tuple[int, "NDArray[np.float64]", NDArray[np.uint8], NDArray[np.uint8]]] = []
+    pieces: list[tuple[int, FloatArray, NDArray[np.uint8], NDArray[np.uint8]]] = []
     sequence = 0
     for index in range(round(duration_s / dynamics.STEP_S)):
         start_ns, end_ns = index * dynamics.STEP_NS, (index + 1) * dynamics.STEP_NS

@@ -176,12 +176,13 @@ def deskew(
         x = T_imu_lidar[0] * lx + T_imu_lidar[1] * ly + T_imu_lidar[2] * lz + T_imu_lidar[9]
         y = T_imu_lidar[3] * lx + T_imu_lidar[4] * ly + T_imu_lidar[5] * lz + T_imu_lidar[10]
         z = T_imu_lidar[6] * lx + T_imu_lidar[7] * ly + T_imu_lidar[8] * lz + T_imu_lidar[11]
-        # Exp(omega dt) to second order: a segment lasts milliseconds.
+        # Exp(omega dt) to third order: a segment lasts milliseconds.
         rx, ry, rz = s[19] * dt, s[20] * dt, s[21] * dt
-        cx, cy, cz = ry * z - rz * y, rz * x - rx * z, rx * y - ry * x
-        x += cx + 0.5 * (ry * cz - rz * cy)
-        y += cy + 0.5 * (rz * cx - rx * cz)
-        z += cz + 0.5 * (rx * cy - ry * cx)
+        ax, ay, az = ry * z - rz * y, rz * x - rx * z, rx * y - ry * x
+        bx, by, bz = ry * az - rz * ay, rz * ax - rx * az, rx * ay - ry * ax
+        x += ax + 0.5 * bx + (ry * bz - rz * by) / 6.0
+        y += ay + 0.5 * by + (rz * bx - rx * bz) / 6.0
+        z += az + 0.5 * bz + (rx * by - ry * bx) / 6.0
         mx = s[4] * x + s[5] * y + s[6] * z + s[1] + (s[13] + 0.5 * s[16] * dt) * dt - end[1]
         my = s[7] * x + s[8] * y + s[9] * z + s[2] + (s[14] + 0.5 * s[17] * dt) * dt - end[2]
         mz = s[10] * x + s[11] * y + s[12] * z + s[3] + (s[15] + 0.5 * s[18] * dt) * dt - end[3]

@@ -5,6 +5,7 @@ Odometry", IEEE T-RO 38(4), 2022; the map is this project's own.
 """
 
 import numpy as np
+from numpy.typing import NDArray
 
 from companion.clock import NANOSECONDS_PER_SECOND, seconds_to_ns
 from companion.geometry import rotation
@@ -116,6 +117,8 @@ class LidarInertialOdometry:
         )
         chosen = self._thinning.choose(points_imu)
         correction = self._matcher.correct(state, points_imu, chosen)
+        if correction.wide:  # the pose jumps by more than it admitted
+            self._reset_counter += 1
         state = correction.state
         self.last_correction = correction
         self._health.observe(state.t_ns, correction)
@@ -123,7 +126,7 @@ class LidarInertialOdometry:
         if health.status is OdometryStatus.LOST:
             return [self._give_up(health)]
         if correction.accepted:
-            self._insert(points_imu, state)
+            self._insert(points_imu, chosen, state)
         self._scan_state = state
         outputs: list[Odometry | RegisteredScan] = []
         if correction.accepted:
@@ -208,9 +211,10 @@ class LidarInertialOdometry:
         t_sensor_ns = self.sequencer.history.last_ns
         return no_odometry(self._host_time_ns(t_sensor_ns), t_sensor_ns, self._reset_counter, health)
 
-    def _insert(self, points_imu: FloatArray, state: NavigationState) -> None:
+    def _insert(self, points_imu: FloatArray, chosen: NDArray[np.int64], state: NavigationState) -> None:
+        """Fuse all points into the fine map; the coarse one, which serves sparse places, needs but a few."""
         self.fine_map.insert(points_imu, state.vector, self._settings.fine_range_m)
-        self.coarse_map.insert(points_imu, state.vector, self._settings.max_range_m)
+        self.coarse_map.insert(points_imu[chosen], state.vector, self._settings.max_range_m)
 
     def _registered(
         self,

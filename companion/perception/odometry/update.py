@@ -1,6 +1,6 @@
 """Correcting the predicted state with one scan: the iterated point-to-plane update."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +32,7 @@ class Correction:
         residual_rms_m: weighted root mean square of the residuals.
         normalised_rms: the same in standard deviations.
         observability: how the six directions were observed, None when too few points matched.
+        wide: whether the prediction was contradicted and a wider search found the place.
         iterations: Gauss-Newton steps taken.
         searches: how often planes were searched.
     """
@@ -44,6 +45,7 @@ class Correction:
     residual_rms_m: float
     normalised_rms: float
     observability: Observability | None
+    wide: bool
     iterations: int
     searches: int
 
@@ -74,7 +76,7 @@ class ScanMatcher:
         if correction.accepted or correction.offered < self._settings.min_effective_points:
             return correction
         wide = self._iterate(self.widened(predicted), points_imu, chosen)
-        return wide if wide.accepted else correction
+        return replace(wide, wide=True) if wide.accepted else correction
 
     def widened(self, predicted: NavigationState) -> NavigationState:
         """Return a prediction that admits to be off by more than it believes."""
@@ -147,6 +149,7 @@ class ScanMatcher:
             residual_rms_m=float(np.sqrt(self._statistics[0] / weight)),
             normalised_rms=normalised_rms,
             observability=observability if enough else None,
+            wide=False,
             iterations=iterations,
             searches=searches,
         )
