@@ -76,9 +76,9 @@ def run_scenario(
 
     def body() -> tuple[Result, ExitCode]:
         from sitl.outcome import evaluate
-        from sitl.scenario import load_scenario, set_stage
+        from sitl.scenario import load_scenario
 
-        stage = set_stage(load_scenario(scenario), scenario.parent, seed)
+        wanted = load_scenario(scenario)
         out.mkdir(parents=True, exist_ok=True)
         log = out / LOG_NAME
         for leftover in (log, log.with_name(f"{LOG_NAME}.open")):
@@ -87,14 +87,21 @@ def run_scenario(
             from sitl.px4_flight import fly_px4
 
             ending = fly_px4(
-                stage, log, url=px4, truth=px4_truth, apply=px4_params == "apply", on_progress=_show
+                wanted,
+                scenario.parent,
+                seed,
+                log,
+                url=px4,
+                truth_address=_address(px4_truth),
+                apply=px4_params == "apply",
+                on_progress=_show,
+                on_parameter=lambda line: print(f"PX4: {line}", file=sys.stderr),
             )
-        elif wire:
-            from sitl.wire import fly_wire
-
-            ending = fly_wire(stage, log, on_progress=_show)
         else:
-            ending = _lockstep(stage, log)
+            from sitl.scenario import set_stage
+
+            stage = set_stage(wanted, scenario.parent, seed)
+            ending = _on_the_wire(stage, log) if wire else _lockstep(stage, log)
         if sys.stderr.isatty():
             print(file=sys.stderr)
         outcome = evaluate(ending, log)
@@ -105,12 +112,60 @@ def run_scenario(
     conclude(body, json_output)
 
 
+def _address(text: str) -> tuple[str, int]:
+    """Return host and port of ``HOST:PORT``."""
+    host, _, port = text.rpartition(":")
+    if not host or not port.isdecimal() or not 0 < int(port) < 65_536:
+        raise typer.BadParameter(f"{text!r} is not HOST:PORT, like 127.0.0.1:19410")
+    return host, int(port)
+
+
+def _on_the_wire(stage: "Stage", log: Path) -> "Ending":
+    from sitl.wire import fly_wire
+
+    return fly_wire(stage, log, on_progress=_show)
+
+
 def _lockstep(stage: "Stage", log: Path) -> "Ending":
     from companion.kernel_cache import load_kernels
     from sitl.lockstep import fly_lockstep
 
     load_kernels()
     return fly_lockstep(stage, log, _show)
+
+
+@app.command(epilog="Example: sitl px4 --gnss-denied")
+def px4(
+    gnss_denied: Annotated[
+        bool, typer.Option("--gnss-denied", help="Boot with the parameters of a flight without GNSS.")
+    ] = False,
+    truth: Annotated[
+        str, typer.Option(metavar="HOST:PORT", help="Where to publish the true motion.")
+    ] = "127.0.0.1:19410",
+    companion_port: Annotated[int, typer.Option(help="UDP port of the companion.")] = 14540,
+    seed: Annotated[int, typer.Option(min=0, help="Of all noise.")] = 1,
+    json_output: AsJson = False,
+) -> None:
+    """Stand in for a PX4 with its internal simulator, until stopped.
+
+    For trying `sitl run --px4` where no PX4 is at hand.
+    """
+
+    def body() -> tuple[Result, ExitCode]:
+        import asyncio
+
+        from companion.clock import SystemClock
+        from sitl.autopilot_parameters import GNSS_DENIED
+        from sitl.mavlink_sockets import MavlinkSocketSettings
+        from sitl.px4_standin import Px4StandIn
+
+        sockets = MavlinkSocketSettings(companion_port=companion_port)
+        parameters = GNSS_DENIED if gnss_denied else {}
+        stand_in = Px4StandIn(parameters, sockets, _address(truth), SystemClock(), seed)
+        asyncio.run(stand_in.run())
+        return {}, ExitCode.OK
+
+    conclude(body, json_output)
 
 
 @app.command(epilog="Example: sitl schema > field_configs/scenario.schema.json")

@@ -6,6 +6,7 @@ import sys
 import tempfile
 from pathlib import Path
 
+from companion.directories import SOCKET_NAME
 from companion.errors import StartError
 
 _STOP_TIMEOUT_S = 10.0
@@ -28,6 +29,11 @@ class CompanionProcess:
     def running(self) -> bool:
         """The process has started and not ended."""
         return self._process is not None and self._process.returncode is None
+
+    @property
+    def control_socket(self) -> Path:
+        """Where `companion engage` speaks to it."""
+        return Path(self._runtime.name) / SOCKET_NAME
 
     @property
     def pid(self) -> int | None:

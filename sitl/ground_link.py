@@ -6,6 +6,9 @@ from typing import Any
 from companion.clock import Clock
 from sitl.operator import Operator
 
+GROUND_ADDRESS = ("127.0.0.1", 14550)
+"""Where autopilots look for a ground station."""
+
 
 class GroundLink(asyncio.DatagramProtocol):
     """Carries the operator's bytes to and from the autopilot's ground link."""

@@ -148,6 +148,20 @@ def both(first: Condition, second: Condition) -> Condition:
     return lambda view, elapsed_s: first(view, elapsed_s) and second(view, elapsed_s)
 
 
+def takeoff(takeoff_height_m: float) -> list[Step]:
+    """Return the way up without GNSS: wait for external vision, then arm into the takeoff mode.
+
+    Args:
+        takeoff_height_m: MIS_TAKEOFF_ALT.
+    """
+    return [
+        Step(connected, SetParameter("MIS_TAKEOFF_ALT", float(takeoff_height_m)), "set takeoff height"),
+        Step(vision_fused, SelectMode(VehicleMode.TAKEOFF), "select takeoff"),
+        Step(after(0.5), Arm(), "arm"),
+        Step(above(0.7 * takeoff_height_m), Look(), "climb", timeout_s=60.0),
+    ]
+
+
 def takeoff_and_authorise(
     takeoff_height_m: float, authorise_after_s: float, takeover_after_s: float | None = None
 ) -> list[Step]:
@@ -160,10 +174,7 @@ def takeoff_and_authorise(
             with centred sticks and then lands; never if None.
     """
     steps = [
-        Step(connected, SetParameter("MIS_TAKEOFF_ALT", float(takeoff_height_m)), "set takeoff height"),
-        Step(vision_fused, SelectMode(VehicleMode.TAKEOFF), "select takeoff"),
-        Step(after(0.5), Arm(), "arm"),
-        Step(above(0.7 * takeoff_height_m), Look(), "climb", timeout_s=60.0),
+        *takeoff(takeoff_height_m),
         Step(both(after(authorise_after_s), companion_ready), Authorise(), "authorise"),
     ]
     if takeover_after_s is not None:

@@ -34,14 +34,19 @@ def build_livox(stage: Stage, boot_ns: int) -> LivoxEmulator:
     return LivoxEmulator(LivoxEmulatorSettings(lidar_ip=stage.profile.lidar.lidar_ip), boot_ns)
 
 
-def build_operator(stage: Stage) -> Operator:
-    """Return the person who flies the scenario's script against this vehicle."""
-    wishes, autopilot = stage.scenario.operator, stage.profile.autopilot
-    settings = OperatorSettings(
+def operator_settings(stage: Stage) -> OperatorSettings:
+    """Return whom the operator attends to."""
+    autopilot = stage.profile.autopilot
+    return OperatorSettings(
         vehicle_system_id=autopilot.system_id, companion_component_id=autopilot.component_id
     )
+
+
+def build_operator(stage: Stage) -> Operator:
+    """Return the person who flies the scenario's script against this vehicle."""
+    wishes = stage.scenario.operator
     script = takeoff_and_authorise(wishes.takeoff_height_m, wishes.authorise_after_s, wishes.takeover_after_s)
-    return Operator(script, settings)
+    return Operator(script, operator_settings(stage))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -12,7 +12,7 @@ from companion.logs.log_queue import LogEntry
 from companion.logs.recovery import add_messages
 from sitl.companion_process import CompanionProcess
 from sitl.dynamics import STEP_NS
-from sitl.ground_link import GroundLink
+from sitl.ground_link import GROUND_ADDRESS, GroundLink
 from sitl.livox_sockets import LivoxSockets
 from sitl.mavlink_sockets import MavlinkSockets, MavlinkSocketSettings
 from sitl.network import Network
@@ -25,7 +25,6 @@ Progress = Callable[[float, str, float], None]
 
 _TRUTH_PERIOD_NS = seconds_to_ns(0.02)
 _PROGRESS_PERIOD_NS = seconds_to_ns(1.0)
-_GROUND_ADDRESS = ("127.0.0.1", 14550)
 
 
 class WireFlight:
@@ -61,7 +60,7 @@ class WireFlight:
         Raises:
             OSError: if an address is taken.
         """
-        await self._ground.open(_GROUND_ADDRESS)
+        await self._ground.open(GROUND_ADDRESS)
         await self.links.open()
         self._lidar.start()
         await self.companion.start()
