@@ -106,6 +106,8 @@ class LidarInertialOdometry:
         """The whole algorithm: predict, de-skew, match, correct, map, and catch up with the IMU."""
         points_lidar, offsets_ns, reflectivity = usable_points(scan, self._settings)
         self._propagation.advance(state, self.sequencer.history, scan.t_sensor_end_ns, scan.t_sensor_start_ns)
+        if not state.is_finite():
+            return [self._give_up(self._health.judge(state))]
         points_imu = self._points_imu[: len(points_lidar)]
         kernels.deskew(
             points_lidar,

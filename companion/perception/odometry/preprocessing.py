@@ -61,7 +61,8 @@ class Thinning:
     def __init__(self, settings: OdometrySettings) -> None:
         """Start in the middle of the allowed cell sizes."""
         self._wanted = settings.matched_points
-        self._smallest_m, self._largest_m = settings.thinning_cell_m
+        self._smallest_m = settings.thinning_cell_min_m
+        self._largest_m = max(settings.thinning_cell_min_m, settings.thinning_cell_max_m)
         self.cell_m = float(np.sqrt(self._smallest_m * self._largest_m))
         self._keys = np.zeros(_SCRATCH, dtype=np.int64)
         self._stamps = np.zeros(_SCRATCH + 1, dtype=np.int64)

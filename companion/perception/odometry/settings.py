@@ -21,8 +21,10 @@ class OdometrySettings(Settings):
     """Drop points whose tag bits 4-5 mark low confidence of the return's position."""
     matched_points: int = Field(default=2500, ge=200, le=10_000)
     """Wanted number of points per registration; the thinning grid adapts its cell size to it."""
-    thinning_cell_m: tuple[float, float] = (0.05, 0.5)
-    """Smallest and largest cell of the thinning grid."""
+    thinning_cell_min_m: float = Field(default=0.05, ge=0.01, le=1.0)
+    """Smallest cell of the thinning grid."""
+    thinning_cell_max_m: float = Field(default=0.5, ge=0.05, le=5.0)
+    """Largest cell of the thinning grid."""
 
     fine_cell_m: float = Field(default=0.15, ge=0.05, le=1.0)
     """Cell of the fine map: one fused point each; planes are fitted to 3 x 3 x 3 cells."""
@@ -31,9 +33,9 @@ class OdometrySettings(Settings):
     fine_range_m: float = Field(default=30.0, ge=5.0, le=200.0)
     """Farther points are too sparse for the fine map and enter the coarse one only."""
     fine_blocks: int = Field(default=131_072, ge=1024, le=1_048_576)
-    """Most blocks of 2 x 2 x 2 cells kept in the fine map (152 bytes each); a power of two."""
+    """Most blocks of 2 x 2 x 2 cells kept in the fine map (about 170 bytes each)."""
     coarse_blocks: int = Field(default=32_768, ge=1024, le=1_048_576)
-    """Most blocks of 2 x 2 x 2 cells kept in the coarse map; a power of two."""
+    """Most blocks of 2 x 2 x 2 cells kept in the coarse map."""
     map_radius_m: float = Field(default=100.0, ge=10.0, le=1000.0)
     """Blocks farther than this from the sensor are forgotten."""
 

@@ -264,7 +264,7 @@ def test_samples_that_are_not_finite_are_dropped(room_flight: SimulatedFlight, r
             event = dataclasses.replace(event, gyro_imu=np.array([np.nan, 0.0, 0.0]))
         events.append(event)
     outcome = run(events)
-    assert outcome.lio.sequencer.counts.samples_not_finite == 14
+    assert outcome.lio.sequencer.counts.samples_implausible == 14
     assert outcome.tracked[-1].status is OdometryStatus.TRACKING
     assert all(np.isfinite(entry.p_map).all() for entry in outcome.odometry)
 

@@ -67,9 +67,11 @@ def test_repeated_and_late_samples_are_counted_and_dropped() -> None:
     assert len(sequencer.history) == 3
 
 
-def test_samples_that_are_not_finite_are_dropped() -> None:
+@pytest.mark.parametrize("accel", [float("nan"), float("inf"), -1e9])
+def test_samples_that_no_chip_measures_are_dropped(accel: float) -> None:
     sequencer = Sequencer(SETTINGS)
-    assert sequencer.add_sample(_sample(0, accel=float("nan"))) is Arrival.DROPPED
+    assert sequencer.add_sample(_sample(0, accel=accel)) is Arrival.DROPPED
+    assert sequencer.counts.samples_implausible == 1
     assert len(sequencer.history) == 0
 
 
