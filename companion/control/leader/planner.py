@@ -22,6 +22,7 @@ from companion.messages import (
 _LONGEST_EXTRAPOLATION_S = 0.3
 _LONGEST_STEP_S = 0.1
 _BEYOND_M = 3.0
+_NOTHING_GRANTED = np.full((2, 3), np.inf)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -108,31 +109,43 @@ class LeaderPlanner:
             return self._decision(odometry, self._brake(dt_s), None)
         age_s = min(max(ns_to_seconds(t_ns - odometry.t_ns), 0.0), _LONGEST_EXTRAPOLATION_S)
         p_map = odometry.p_map + age_s * odometry.v_map
-        searched = self._follow_mission(p_map, t_ns)
-        v_map = self._velocity(p_map, odometry.v_map, dt_s, t_ns)
+        p_soon = self._soon(p_map, odometry.v_map)
+        searched = self._follow_mission(p_map, p_soon, t_ns)
+        v_map = self._velocity(p_map, p_soon, dt_s, t_ns)
         return self._decision(odometry, v_map, self._plan(searched, p_map, t_ns))
 
-    def _follow_mission(self, p_map: FloatArray, t_ns: int) -> bool:
+    def _soon(self, p_map: FloatArray, v_map: FloatArray) -> FloatArray:
+        """Return where the vehicle will be before a new command takes effect, (3,) m.
+
+        Never beyond an obstacle: a path from behind a wall would lead on from there.
+        """
+        p_soon = p_map + self._settings.potential_field.prediction_s * v_map
+        room = self._settings.vehicle_radius_m
+        if self._map.field.is_segment_free(p_map[:2], p_soon[:2], room, _NOTHING_GRANTED):
+            return p_soon
+        return p_map
+
+    def _follow_mission(self, p_map: FloatArray, p_soon: FloatArray, t_ns: int) -> bool:
         mission = self._mission
         field = self._map.field
         searched = False
         if mission.phase in (Phase.WAITING, Phase.FLYING):
-            searched = self._route.update(field, p_map[:2], mission.waypoint_map[:2], t_ns)
+            searched = self._route.update(field, p_soon[:2], mission.waypoint_map[:2], t_ns)
         index = mission.index
         mission.update(p_map, self._goal(), t_ns)
         if mission.index != index:
-            searched = self._route.update(field, p_map[:2], mission.waypoint_map[:2], t_ns)
+            searched = self._route.update(field, p_soon[:2], mission.waypoint_map[:2], t_ns)
         return searched
 
     def _goal(self) -> FloatArray:
         return np.array([*self._route.goal, self._mission.waypoint_map[2]])
 
-    def _velocity(self, p_map: FloatArray, v_now: FloatArray, dt_s: float, t_ns: int) -> FloatArray:
+    def _velocity(self, p_map: FloatArray, p_soon: FloatArray, dt_s: float, t_ns: int) -> FloatArray:
         settings = self._settings.potential_field
         mission = self._mission
         if mission.phase is Phase.WAITING:
             return self._filter.step(np.zeros(3), dt_s, settings.max_acceleration_mps2)
-        to_goal = self._goal() - p_map
+        to_goal = self._goal() - p_soon
         distance = float(np.hypot(to_goal[0], to_goal[1]))
         speed = mission.speed(distance, t_ns)
         target = np.zeros(3)
@@ -144,7 +157,7 @@ class LeaderPlanner:
             return self._brake(dt_s)
         else:
             field = self._map.field
-            p = p_map[:2] + settings.prediction_s * v_now[:2]
+            p = p_soon[:2]
             ahead, is_open = self._route.ahead(field, p, settings.look_ahead_m)
             speed = min(speed, self._field.speed_limit(field, p, ahead))
             beyond = self._route.beyond(settings.look_ahead_m + _BEYOND_M)

@@ -62,7 +62,7 @@ class Pillars:
     def returns(
         self, p_map: FloatArray, rng: np.random.Generator, rays: int, range_noise_m: float = 0.02
     ) -> FloatArray:
-        """Points (k, 3) that random rays between -7 and 52 degrees of elevation hit within 40 m."""
+        """Points (k, 3) that random rays between -7 and 52 degrees of elevation hit, pillars within 14 m."""
         azimuth = rng.uniform(-np.pi, np.pi, rays)
         elevation = np.arcsin(rng.uniform(np.sin(np.radians(-7.0)), np.sin(np.radians(52.0)), rays))
         direction = np.stack([np.cos(azimuth), np.sin(azimuth)], axis=-1)
@@ -72,7 +72,7 @@ class Pillars:
         horizontal = ground
         for centre, radius in zip(self.centres, self.radii, strict=True):
             offset = centre - p_map[:2]
-            if np.hypot(*offset) > 20.0:
+            if np.hypot(*offset) > 14.0:
                 continue
             along = direction @ offset
             chord = radius**2 - (offset @ offset - along**2)
