@@ -1,6 +1,7 @@
 """What a simulated flight came to, computed from its log and the simulator's own truth."""
 
 import hashlib
+import math
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -10,8 +11,8 @@ from companion.clock import ns_to_seconds
 from companion.logs import channels
 from companion.logs.reader import FlightRecording
 from companion.logs.records import StampedPose, Statistics
-from companion.messages import FloatArray, MavlinkMessage, Odometry, OdometryStatus, Setpoint
-from companion.perception.odometry.trajectory_error import absolute_error, drift_percent
+from companion.logs.trajectory_comparison import compare
+from companion.messages import MavlinkMessage, Odometry, OdometryStatus, Setpoint
 
 _HASH_BLOCK = 1 << 20
 
@@ -38,10 +39,19 @@ class Ending:
 
 @dataclass(frozen=True, slots=True)
 class OdometryError:
-    """Own-motion error against the truth: RMSE after alignment, and end error over path length."""
+    """Own-motion error against the truth.
+
+    Attributes:
+        ape_rmse_m: root mean square position error after the best rigid alignment of both paths.
+        drift_percent: position error at the end over the path's length, both paths laid together at their
+            first pose.
+        map_tilt_deg: how far the map's vertical is from the true one; an accelerometer at rest cannot tell
+            its bias from a tilt.
+    """
 
     ape_rmse_m: float | None
     drift_percent: float | None
+    map_tilt_deg: float | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,27 +140,20 @@ def evaluate(ending: Ending, log_path: Path) -> Outcome:
 
 
 def odometry_error(odometry: list[Odometry], truth: list[StampedPose]) -> OdometryError:
-    """Compare own motion with the truth at the odometry's times, from the first movement on."""
-    if len(odometry) < 3 or len(truth) < 3:
-        return OdometryError(None, None)
-    t_truth = np.array([pose.t_ns for pose in truth])
-    t_odometry = np.array([state.t_ns for state in odometry])
-    inside = np.flatnonzero((t_odometry >= t_truth[0]) & (t_odometry <= t_truth[-1]))
-    if len(inside) < 3:
-        return OdometryError(None, None)
-    nearest = np.clip(np.searchsorted(t_truth, t_odometry[inside]), 1, len(truth) - 1)
-    t_inside = t_odometry[inside]
-    p_truth = np.array([pose.p for pose in truth])
-    p_true = np.column_stack([np.interp(t_inside, t_truth, p_truth[:, axis]) for axis in range(3)])
-    q_true = np.array([truth[index].q for index in nearest])
-    p_estimated = np.array([odometry[index].p_map for index in inside])
-    q_estimated = np.array([odometry[index].q_map_body for index in inside])
-    if _path_length(p_true) <= 0.0:
-        return OdometryError(None, None)
-    return OdometryError(
-        ape_rmse_m=absolute_error(p_estimated, q_estimated, p_true, q_true).rmse_m,
-        drift_percent=drift_percent(p_estimated, q_estimated, p_true, q_true),
+    """Compare own motion with the truth, as the flight's report does."""
+    if not odometry or not truth:
+        return OdometryError(None, None, None)
+    comparison = compare(
+        np.array([ns_to_seconds(state.t_ns) for state in odometry]),
+        np.array([state.p_map for state in odometry]),
+        np.array([state.q_map_body for state in odometry]),
+        np.array([ns_to_seconds(pose.t_ns) for pose in truth]),
+        np.array([pose.p for pose in truth]),
+        np.array([pose.q for pose in truth]),
     )
+    if comparison is None:
+        return OdometryError(None, None, None)
+    return OdometryError(comparison.ape_rmse_m, comparison.drift_percent, math.degrees(comparison.map_tilt))
 
 
 def latency(setpoints: list[Setpoint], t_sent_ns: list[int]) -> Latency:
@@ -186,7 +189,3 @@ def sha256_of(path: Path) -> str:
         while block := file.read(_HASH_BLOCK):
             digest.update(block)
     return digest.hexdigest()
-
-
-def _path_length(p: FloatArray) -> float:
-    return float(np.linalg.norm(np.diff(p, axis=0), axis=1).sum())

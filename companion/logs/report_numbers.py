@@ -1,5 +1,6 @@
 """The numbers of a flight, computed from its data; None where the log does not tell."""
 
+import math
 from typing import Any
 
 import numpy as np
@@ -132,6 +133,7 @@ def _accuracy(comparison: Comparison | None) -> Numbers | None:
         "end_error_m": comparison.end_error_m,
         "max_error_m": float(error.max()),
         "drift_percent": comparison.drift_percent,
+        "map_tilt_deg": math.degrees(comparison.map_tilt),
         "true_path_m": comparison.path_m,
     }
 

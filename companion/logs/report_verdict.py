@@ -125,6 +125,7 @@ def _odometry(numbers: Numbers) -> Line:
         text += f"; error {accuracy['ape_rmse_m']:.3f} m RMSE"
         drift = accuracy["drift_percent"]
         text += "" if drift is None else f", drift {drift:.2f} %"
+        text += f", map tilted {accuracy['map_tilt_deg']:.1f} deg"
     lamp = _graded(100.0 - odometry["tracking_percent"], 1.0, 20.0)
     if odometry["lost_percent"] or odometry["resets"]:
         lamp = Lamp.RED

@@ -19,7 +19,8 @@ class Comparison:
     Attributes:
         t: (n,) times compared, seconds.
         p_estimate, p_truth: (n, 3) both in the estimate's frame, the truth laid on the estimate's first
-            pose (position and heading; both frames are level).
+            pose, attitude included.
+        map_tilt: angle between what the estimate took for vertical at the start and the vertical, rad.
         ape_rmse_m: root mean square distance after the best rigid alignment of both paths.
         end_error_m: distance at the end.
         path_m: length of the true path.
@@ -28,6 +29,7 @@ class Comparison:
     t: FloatArray
     p_estimate: FloatArray
     p_truth: FloatArray
+    map_tilt: float
     ape_rmse_m: float
     end_error_m: float
     path_m: float
@@ -65,12 +67,14 @@ def compare(
     t, p_estimate, q_estimate = t[inside], p_estimate[inside], q_estimate[inside]
     p_true = np.column_stack([np.interp(t, t_truth, p_truth[:, axis]) for axis in range(3)])
     q_true = q_truth[np.clip(np.searchsorted(t_truth, t[0]), 0, len(t_truth) - 1)]
-    yaw = rotation.yaw_of(q_estimate[0]) - rotation.yaw_of(q_true)
-    laid = p_estimate[0] + rotation.rotate(rotation.from_yaw(yaw), p_true - p_true[0])
+    q_map_world = rotation.normalize(rotation.multiply(q_estimate[0], rotation.conjugate(q_true)))
+    laid = p_estimate[0] + rotation.rotate(q_map_world, p_true - p_true[0])
+    vertical = float(np.clip(rotation.to_matrix(q_map_world)[2, 2], -1.0, 1.0))
     return Comparison(
         t=t,
         p_estimate=p_estimate,
         p_truth=laid,
+        map_tilt=float(np.arccos(vertical)),
         ape_rmse_m=float(np.sqrt(np.mean(np.sum((p_estimate - rigidly_aligned(laid, p_estimate)) ** 2, 1)))),
         end_error_m=float(np.linalg.norm(p_estimate[-1] - laid[-1])),
         path_m=float(np.sum(np.linalg.norm(np.diff(p_true, axis=0), axis=1))),

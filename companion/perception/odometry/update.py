@@ -17,6 +17,7 @@ _SMALL_STEP_M = 5e-4
 _SEARCH_AGAIN_CELLS = 0.1  # of a fine cell: planes found farther away than this are searched anew
 _LEVER_M = 10.0  # distance of a typical point, to speak of rotations in metres
 _WORST_NORMALISED_RMS = 2.5
+_COARSE_ITERATIONS = 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,8 +103,11 @@ class ScanMatcher:
         pose_prior = np.ascontiguousarray(prior[:6, :6])
         state, error = predicted, np.zeros(18)
         searched_at: NavigationState | None = None
-        # A prediction less certain than a fine cell would find the wrong ones of its planes.
-        fine = _spread_m(pose_prior) < self._settings.fine_cell_m
+        # A prediction less certain than a fine cell would find the wrong ones of its planes, so coarse
+        # ones come first; what they bring near enough is then gated as narrowly as if it had been near.
+        spread = _spread_m(pose_prior) / self._settings.fine_cell_m
+        fine = spread < 1.0
+        gate = pose_prior
         observability: Observability | None = None
         found = matched = iterations = searches = 0
         A = self._information
@@ -113,7 +117,7 @@ class ScanMatcher:
                 found = self._find_planes(state, points_imu, chosen, fine)
                 searched_at = state
                 searches += 1
-            matched = self._accumulate(state, points_imu, chosen, pose_prior)
+            matched = self._accumulate(state, points_imu, chosen, gate)
             if matched < self._settings.min_effective_points:
                 break
             A, b, observability = keep_observed(
@@ -126,10 +130,11 @@ class ScanMatcher:
             error = prior[:, :6] @ np.linalg.solve(np.eye(6) + A @ pose_prior, b + A @ error[:6])
             previous, state = state, predicted.plus(error)
             iterations += 1
-            if _displacement_m(previous, state) < _SMALL_STEP_M:
-                if fine:
-                    break
-                fine, searched_at = True, None
+            settled = _displacement_m(previous, state) < _SMALL_STEP_M
+            if fine and settled:
+                break
+            if not fine and (settled or iterations >= _COARSE_ITERATIONS):
+                fine, searched_at, gate = True, None, pose_prior / spread**2
         enough = matched >= self._settings.min_effective_points
         weight = max(float(self._statistics[1]), 1e-12)
         normalised_rms = float(np.sqrt(self._statistics[3] / max(matched, 1)))
@@ -179,14 +184,14 @@ class ScanMatcher:
         state: NavigationState,
         points_imu: FloatArray,
         chosen: NDArray[np.int64],
-        pose_prior: FloatArray,
+        gate: FloatArray,
     ) -> int:
         return matching_kernels.accumulate(
             points_imu,
             chosen,
             self._planes,
             state.vector,
-            pose_prior,
+            gate,
             self._settings.range_sigma_m**2,
             float(np.radians(self._settings.angle_sigma_deg)) ** 2,
             self._settings.map_sigma_m**2,
