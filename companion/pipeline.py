@@ -42,6 +42,7 @@ from companion.safety.supervisor import COMMANDING, Supervisor
 _STREAM_BEFORE_ENGAGE_NS = seconds_to_ns(0.5)
 _REPEAT_REQUEST_NS = seconds_to_ns(1.0)
 _BRAKE_BEFORE_STOP_NS = seconds_to_ns(1.0)
+_STALL_NS = seconds_to_ns(0.5)
 
 _SEVERITY = {
     FlightState.LOST: Severity.CRITICAL,
@@ -123,6 +124,7 @@ class Pipeline:
         self._requested_ns = 0
         self._mode_at_engaging = VehicleMode.UNKNOWN
         self._stop_ns: int | None = None
+        self._ticked_ns: int | None = None
 
     @property
     def state(self) -> FlightState:
@@ -198,6 +200,7 @@ class Pipeline:
             engage_timed_out=engaging and in_state_ns > seconds_to_ns(self._safety.engage_timeout_s),
             mode_left=engaging and mode not in (VehicleMode.OFFBOARD, self._mode_at_engaging),
             stopping=self._stop_ns is not None and t_ns - self._stop_ns >= _BRAKE_BEFORE_STOP_NS,
+            stalled=self._ticked_ns is not None and t_ns - self._ticked_ns > _STALL_NS,
         )
 
     def _tick(self, t_ns: int) -> list[Output]:
@@ -208,6 +211,7 @@ class Pipeline:
             and self._vehicle.mode is VehicleMode.OFFBOARD
         )
         facts = self._facts(t_ns, authorised=self._grant is not None or switched)
+        self._ticked_ns = t_ns
         outputs = self._step(facts, t_ns)
         self._grant = None
         self._revoked = False

@@ -241,10 +241,11 @@ def test_stale_odometry_brakes_then_falls_silent() -> None:
     rig.tick(50)
     rig.odometry_runs = False
     holding = setpoints(rig.tick(40))
-    assert rig.pipeline.state is FlightState.HOLDING
+    states = [rig.pipeline.state]
     assert not holding[-1].v_map.any()
     rig.tick(40)
-    assert rig.pipeline.state is FlightState.LOST
+    states.append(rig.pipeline.state)
+    assert states == [FlightState.HOLDING, FlightState.LOST]
     assert not setpoints(rig.tick(20))
 
 
@@ -253,10 +254,11 @@ def test_a_short_gap_of_the_odometry_ends_in_flying_on() -> None:
     rig.active()
     rig.odometry_runs = False
     rig.tick(20)
-    assert rig.pipeline.state is FlightState.HOLDING
+    states = [rig.pipeline.state]
     rig.odometry_runs = True
     rig.tick(2)
-    assert rig.pipeline.state is FlightState.ACTIVE
+    states.append(rig.pipeline.state)
+    assert states == [FlightState.HOLDING, FlightState.ACTIVE]
 
 
 def test_no_moving_setpoint_rests_on_data_older_than_200_ms() -> None:
@@ -317,6 +319,14 @@ def test_being_told_to_stop_brakes_for_a_second_and_ends_in_silence() -> None:
     braking = setpoints(rig.tick(45))
     assert not braking[-1].v_map.any()
     assert not setpoints(rig.tick(20)[5:])
+    assert rig.pipeline.state is FlightState.LOST
+
+
+def test_after_a_stall_nothing_is_sent_without_a_new_authorisation() -> None:
+    rig = Rig()
+    rig.active()
+    rig.t_ns += 600_000_000
+    assert not setpoints(rig.tick(50))
     assert rig.pipeline.state is FlightState.LOST
 
 

@@ -35,6 +35,8 @@ class Facts:
     mode_left: bool
     """The autopilot is neither in OFFBOARD nor in the mode from which engaging began."""
     stopping: bool
+    stalled: bool
+    """The process did not decide for so long that the autopilot may have given it up."""
     problem: str
     """Why the odometry or the link is not usable; empty when both are."""
 
@@ -104,6 +106,7 @@ class Checks:
         engage_timed_out: bool,
         mode_left: bool,
         stopping: bool,
+        stalled: bool,
     ) -> Facts:
         """Summarise the situation at `t_ns`; the keyword arguments are passed on as they are."""
         link = vehicle is not None and vehicle.connected and t_ns - vehicle.t_local_ns < _MAX_LOCAL_AGE_NS
@@ -139,5 +142,6 @@ class Checks:
             engage_timed_out=engage_timed_out,
             mode_left=mode_left,
             stopping=stopping,
+            stalled=stalled,
             problem=problem,
         )

@@ -6,6 +6,7 @@ Rules it keeps, whatever the sensors and the autopilot do:
 * when the autopilot leaves OFFBOARD, for a pilot or for its own failsafe, the stream ends and only a new
   authorisation brings it back;
 * a process that wakes up in the air listens only;
+* after a stall it stays silent, because the autopilot may have begun its failsafe;
 * without usable odometry it brakes, and soon after it falls silent, so that PX4's own failsafe acts.
 
 `TRANSITIONS` is the whole machine: in each state the first condition that holds wins.
@@ -39,6 +40,7 @@ def _may_engage(facts: Facts) -> bool:
 
 _GROUNDED = Transition(lambda f: f.link and f.on_ground, FlightState.STANDBY, "on the ground, disarmed")
 _STOPPED = Transition(lambda f: f.stopping, FlightState.LOST, "told to stop")
+_STALLED = Transition(lambda f: f.stalled, FlightState.LOST, "stalled in flight")
 _REVOKED = Transition(lambda f: f.revoked, FlightState.PILOT, "authorisation withdrawn")
 _TAKEOVER_FAILSAFE = Transition(
     lambda f: _lost_offboard(f) and f.failsafe, FlightState.PILOT, "autopilot failsafe"
@@ -77,6 +79,7 @@ TRANSITIONS: dict[FlightState, tuple[Transition, ...]] = {
     ),
     FlightState.ENGAGING: (
         _STOPPED,
+        _STALLED,
         _REVOKED,
         _LINK_LOST,
         Transition(lambda f: f.failsafe, FlightState.PILOT, "autopilot failsafe"),
@@ -87,6 +90,7 @@ TRANSITIONS: dict[FlightState, tuple[Transition, ...]] = {
     ),
     FlightState.ACTIVE: (
         _STOPPED,
+        _STALLED,
         _REVOKED,
         _TAKEOVER_FAILSAFE,
         _TAKEOVER_PILOT,
@@ -98,6 +102,7 @@ TRANSITIONS: dict[FlightState, tuple[Transition, ...]] = {
     ),
     FlightState.HOLDING: (
         _STOPPED,
+        _STALLED,
         _REVOKED,
         _TAKEOVER_FAILSAFE,
         _TAKEOVER_PILOT,
@@ -110,6 +115,7 @@ TRANSITIONS: dict[FlightState, tuple[Transition, ...]] = {
     FlightState.LANDING: (
         Transition(lambda f: f.link and f.on_ground, FlightState.DONE, "landed and disarmed"),
         _STOPPED,
+        _STALLED,
         Transition(
             # On touch-down the autopilot disarms and changes the mode by itself.
             lambda f: f.link and f.airborne and f.mode not in (VehicleMode.OFFBOARD, VehicleMode.LAND),

@@ -51,6 +51,7 @@ def facts(checks: Checks, odometry: Odometry | None, vehicle: VehicleState | Non
         engage_timed_out=False,
         mode_left=False,
         stopping=False,
+        stalled=False,
     )
 
 

@@ -24,6 +24,7 @@ TRUTHS = [
     "engage_timed_out",
     "mode_left",
     "stopping",
+    "stalled",
 ]
 MODES = [VehicleMode.TAKEOFF, VehicleMode.OFFBOARD, VehicleMode.LAND, VehicleMode.POSITION]
 
@@ -95,10 +96,10 @@ def test_a_pilot_keeps_control_until_re_authorised_or_on_the_ground() -> None:
                 assert facts.authorised or facts.on_ground
 
 
-def test_being_told_to_stop_or_losing_authorisation_ends_control() -> None:
+def test_being_told_to_stop_a_stall_or_losing_authorisation_ends_control() -> None:
     for facts in all_situations():
         for state in (FlightState.ENGAGING, FlightState.ACTIVE, FlightState.HOLDING):
-            if facts.stopping:
+            if facts.stopping or facts.stalled:
                 assert next_state(state, facts) is FlightState.LOST
             elif facts.revoked:
                 assert next_state(state, facts) is FlightState.PILOT

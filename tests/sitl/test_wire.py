@@ -103,9 +103,8 @@ def test_a_companion_that_wakes_up_after_a_failsafe_does_not_take_over_again(tmp
             os.kill(pid, signal.SIGSTOP)
             await advance_until(flight, lambda: flight.vehicle.autopilot.failsafe)
             os.kill(pid, signal.SIGCONT)
-            # What was decided just before the stop may still leave; a stream must not follow.
-            await advance_for(flight, 1.5)
-            assert await advance_for(flight, 1.5) == 0
+            # One message may have been on its way out when the process was stopped.
+            assert await advance_for(flight, 3.0) <= 1
 
     asyncio.run(fly())
 
