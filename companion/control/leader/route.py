@@ -8,7 +8,7 @@ import numpy as np
 from companion.clock import seconds_to_ns
 from companion.control.leader import rrt_kernels
 from companion.control.leader.obstacle_map import ClearanceField
-from companion.control.leader.rrt import NO_PATH, LocalPath, RrtPlanner, SearchStatus
+from companion.control.leader.rrt import NO_PATH, LocalPath, RrtPlanner, SearchStatus, length_of
 from companion.control.leader.settings import RrtSettings
 from companion.messages import FloatArray
 
@@ -19,7 +19,7 @@ _NEARLY_OVER_M = 1.0
 _WINDING = 1.5
 _MUCH_SHORTER = 0.5
 _TRAIL_SPACING_M = 1.0
-_TRAIL_POINTS = 256
+_TRAIL_POINTS = 100
 _PROGRESS_M = 1.0
 _LEAST_LOOK_AHEAD_M = 0.4
 
@@ -85,9 +85,10 @@ class Route:
         self._searched_ns = t_ns
         self._note_progress(p, t_ns)
         self.goal = self._reachable_goal(field, p, t_ns)
-        previous = None if self.path is None else self.path.points[-1]
-        local_goal = self._planner.local_goal(field, p, self.goal, self._trail, previous)
-        found = self._planner.search(field, p, local_goal, self._trail)
+        previous = None if self.path is None else self.path.points
+        end = None if previous is None else previous[-1]
+        local_goal = self._planner.local_goal(field, p, self.goal, self._trail, end)
+        found = self._planner.search(field, p, local_goal, self._trail, previous)
         self.nodes = found.nodes
         # Even a path to the goal is vain when following such paths brought it no nearer for that long.
         if self._is_hopeless(t_ns, 2) or (self._is_hopeless(t_ns) and not _ends_at(found, self.goal)):
@@ -103,7 +104,7 @@ class Route:
             self._adopt(found, "planned", p)
             # The way out of a dead end looks worse than staying in it, so it is flown to its end.
             chord = float(np.hypot(*(found.points[-1] - found.points[0])))
-            self._winding = _length(found.points) > _WINDING * chord
+            self._winding = length_of(found.points) > _WINDING * chord
         self._blocked = False
         return True
 
@@ -167,10 +168,10 @@ class Route:
         if not self._is_free(field, math.inf):
             return None
         rest = self._rest(path.points)
-        if self._winding and _length(rest) > _NEARLY_OVER_M and not self._is_much_shorter(found, rest):
+        if self._winding and length_of(rest) > _NEARLY_OVER_M and not self._is_much_shorter(found, rest):
             return replace(path, points=rest)
         if found.status is not SearchStatus.REACHED:
-            return replace(path, points=rest) if _length(rest) > _NEARLY_OVER_M else None
+            return replace(path, points=rest) if length_of(rest) > _NEARLY_OVER_M else None
         if path.status is not SearchStatus.REACHED or path.clearance < found.clearance:
             return None
         goal = found.points[-1]
@@ -182,14 +183,14 @@ class Route:
             candidate = np.concatenate([rest[:-1], goal[None, :]])
         elif not field.is_segment_free(rest[-1], goal, wanted, ends):
             return None
-        if _length(candidate) > self._settings.keep_ratio * _length(found.points):
+        if length_of(candidate) > self._settings.keep_ratio * length_of(found.points):
             return None
         return replace(path, points=candidate, ends=ends)
 
     def _is_much_shorter(self, found: LocalPath, rest: FloatArray) -> bool:
         if found.status is not SearchStatus.REACHED:
             return False
-        return _length(found.points) < _MUCH_SHORTER * _length(rest)
+        return length_of(found.points) < _MUCH_SHORTER * length_of(rest)
 
     def _rest(self, points: FloatArray) -> FloatArray:
         """Return the part of the path past the vehicle's nearest point, that point first."""
@@ -202,7 +203,7 @@ class Route:
         path = self.path
         if path is None:
             return True
-        s_to = min(self._s + horizon, _length(path.points))
+        s_to = min(self._s + horizon, length_of(path.points))
         walked = rrt_kernels.free_length(
             field.distance, field.corner_map[0], field.corner_map[1], field.cell_m,
             path.clearance - _CLEARANCE_SLACK_M, path.ends, path.points, self._s, s_to,
@@ -235,7 +236,3 @@ class Route:
 
 def _ends_at(path: LocalPath, goal: FloatArray) -> bool:
     return path.status is SearchStatus.REACHED and np.array_equal(path.points[-1], goal)
-
-
-def _length(points: FloatArray) -> float:
-    return float(np.hypot(*np.diff(points, axis=0).T).sum())

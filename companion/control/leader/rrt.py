@@ -20,6 +20,8 @@ _CIRCLE_STEP = math.radians(5.0)
 _STAND_IN_STEP_M = 0.2
 _STAND_IN_ROOM_M = 0.2
 _DETOUR_SHARE = 0.6
+_MOST_TREES = 2
+_COMPARED_AT_M = (1.0, 2.0, 3.0, 4.0, 5.0)
 _CHANGE_OF_MIND = 0.3
 _BEEN_THERE_M = 2.5
 _BEEN_THERE_COST_M = 1.0
@@ -127,7 +129,12 @@ class RrtPlanner:
         return np.asarray(circle[0])
 
     def search(
-        self, field: ClearanceField, start: FloatArray, goal: FloatArray, visited: FloatArray
+        self,
+        field: ClearanceField,
+        start: FloatArray,
+        goal: FloatArray,
+        visited: FloatArray,
+        previous: FloatArray | None,
     ) -> LocalPath:
         """Find a path to a local goal, with ever less clearance if need be.
 
@@ -136,6 +143,8 @@ class RrtPlanner:
             start: (2,) where the vehicle is, m.
             goal: (2,) local goal, m.
             visited: (k, 2) where the vehicle has been in vain: detours elsewhere are preferred.
+            previous: (m, 2) path flown so far, if any: of several paths found, one that passes obstacles
+                on the same side is preferred.
 
         Returns:
             A path to the goal; if none is found a path to the best place reached; or no path.
@@ -150,7 +159,16 @@ class RrtPlanner:
             tree, parents, reached = self._tree(field, clearance, ends)
             nodes += tree.shape[0]
             if reached >= 0:
-                points = self._shortened(field, _branch(tree, parents, reached), clearance, ends)
+                candidates = [self._shortened(field, _branch(tree, parents, reached), clearance, ends)]
+                for _ in range(self._settings.extra_trees):
+                    if nodes > _MOST_TREES * self._settings.max_nodes:
+                        break
+                    tree, parents, reached = self._tree(field, clearance, ends)
+                    nodes += tree.shape[0]
+                    if reached >= 0:
+                        branch = _branch(tree, parents, reached)
+                        candidates.append(self._shortened(field, branch, clearance, ends))
+                points = min(candidates, key=lambda path: length_of(path) + _side_change(path, previous))
                 return LocalPath(SearchStatus.REACHED, points, clearance, ends, nodes)
             if detour is None:
                 leaf = self._best_leaf(tree, goal, visited)
@@ -195,10 +213,10 @@ class RrtPlanner:
     def _best_leaf(self, tree: FloatArray, goal: FloatArray, visited: FloatArray) -> int:
         """Return the node well away from the start that is best to go on from, 0 if there is none."""
         away = np.hypot(*(tree - tree[0]).T)
-        cost = _cost_to_go(tree, goal, visited)
-        cost[away < _DETOUR_SHARE * self._settings.local_radius_m] = np.inf
-        best = int(np.argmin(cost))
-        return best if np.isfinite(cost[best]) else 0
+        candidates = np.flatnonzero(away >= _DETOUR_SHARE * self._settings.local_radius_m)
+        if candidates.size == 0:
+            return 0
+        return int(candidates[np.argmin(_cost_to_go(tree[candidates], goal, visited))])
 
     def _shortened(
         self, field: ClearanceField, path: FloatArray, clearance: float, ends: FloatArray
@@ -211,6 +229,22 @@ class RrtPlanner:
             rows, path.shape[0],
         )  # fmt: skip
         return rows[:count].copy()
+
+
+def length_of(points: FloatArray) -> float:
+    """Return the length of a polyline (n, 2), m."""
+    return float(np.hypot(*np.diff(points, axis=0).T).sum())
+
+
+def _side_change(points: FloatArray, previous: FloatArray | None) -> float:
+    """Return how far the first metres of a path lead away from the path flown so far, m."""
+    if previous is None:
+        return 0.0
+    gaps = [
+        rrt_kernels.locate(previous, *rrt_kernels.point_at(points, s), 0.0, math.inf)[1]
+        for s in _COMPARED_AT_M
+    ]
+    return max(gaps)
 
 
 def _branch(tree: FloatArray, parents: np.ndarray[tuple[int], np.dtype[np.int64]], leaf: int) -> FloatArray:

@@ -90,6 +90,8 @@ class RrtSettings(Settings):
     """Shares of the margin tried one after the other until a path exists, widest first."""
     shortcuts: int = Field(default=50, ge=0, le=1000)
     """Random attempts to cut corners off a path."""
+    extra_trees: int = Field(default=5, ge=0, le=50)
+    """Further trees grown once a path is found, to choose the best of the paths; fewer where it is tight."""
     replan_period_s: float = Field(default=1.0, gt=0.0, le=10.0)
     """Time between searches while nothing is wrong."""
     retry_period_s: float = Field(default=0.2, gt=0.0, le=10.0)

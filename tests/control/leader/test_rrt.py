@@ -22,7 +22,7 @@ def least_gap(path: np.ndarray, discs: np.ndarray) -> float:
 
 
 def test_in_the_open_the_path_is_the_straight_line() -> None:
-    found = planner().search(field_of(NOWHERE, 0.3), START, np.array([8.0, 0.0]), NOWHERE)
+    found = planner().search(field_of(NOWHERE, 0.3), START, np.array([8.0, 0.0]), NOWHERE, None)
     assert found.status is SearchStatus.REACHED
     assert found.points.tolist() == [[0.0, 0.0], [8.0, 0.0]]
     assert found.clearance == pytest.approx(1.1)
@@ -32,7 +32,7 @@ def test_in_the_open_the_path_is_the_straight_line() -> None:
 @pytest.mark.parametrize("seed", range(10))
 def test_a_pillar_is_passed_with_the_whole_margin(seed: int) -> None:
     discs = np.array([[4.0, 0.0]])
-    found = planner(seed).search(field_of(discs, 0.3), START, np.array([8.0, 0.0]), NOWHERE)
+    found = planner(seed).search(field_of(discs, 0.3), START, np.array([8.0, 0.0]), NOWHERE, None)
     assert found.status is SearchStatus.REACHED
     assert found.clearance == pytest.approx(1.1)
     assert least_gap(found.points, discs) > 0.3 + 1.0
@@ -43,7 +43,7 @@ def test_a_pillar_is_passed_with_the_whole_margin(seed: int) -> None:
 def test_the_margin_is_relaxed_only_as_far_as_a_gate_demands(gap: float, clearance: float) -> None:
     half = gap / 2.0 + 0.1
     discs = np.concatenate([wall((4.0, -12.0), (4.0, -half)), wall((4.0, half), (4.0, 12.0))])
-    found = planner().search(field_of(discs, 0.1), START, np.array([8.0, 0.0]), NOWHERE)
+    found = planner().search(field_of(discs, 0.1), START, np.array([8.0, 0.0]), NOWHERE, None)
     assert found.status is SearchStatus.REACHED
     assert found.clearance == pytest.approx(clearance)
     assert least_gap(found.points, discs) > 0.1 + RADIUS
@@ -51,7 +51,7 @@ def test_the_margin_is_relaxed_only_as_far_as_a_gate_demands(gap: float, clearan
 
 def test_a_closed_room_gives_no_path() -> None:
     room = wall((-3.0, -3.0), (3.0, -3.0), (3.0, 3.0), (-3.0, 3.0), (-3.0, -3.0))
-    found = planner().search(field_of(room, 0.1), START, np.array([8.0, 0.0]), NOWHERE)
+    found = planner().search(field_of(room, 0.1), START, np.array([8.0, 0.0]), NOWHERE, None)
     assert found.status is SearchStatus.NO_PATH
     assert found.points.shape == (0, 2)
     assert found.nodes <= 4 * 600
@@ -59,11 +59,11 @@ def test_a_closed_room_gives_no_path() -> None:
 
 def test_a_wide_wall_gives_a_detour_and_one_flown_in_vain_another() -> None:
     field = field_of(wall((5.0, -14.0), (5.0, 14.0)), 0.1)
-    first = planner().search(field, START, np.array([8.0, 0.0]), NOWHERE)
+    first = planner().search(field, START, np.array([8.0, 0.0]), NOWHERE, None)
     assert first.status is SearchStatus.DETOUR
     end = first.points[-1]
     assert np.hypot(*end) > 0.6 * 8.0
-    again = planner().search(field, START, np.array([8.0, 0.0]), np.repeat(end[None], 9, axis=0))
+    again = planner().search(field, START, np.array([8.0, 0.0]), np.repeat(end[None], 9, axis=0), None)
     assert again.status is SearchStatus.DETOUR
     assert np.hypot(*(again.points[-1] - end)) > 2.0
 
@@ -108,9 +108,19 @@ def test_the_nearest_reachable_place_is_refused_when_too_far() -> None:
     assert planner().nearest_reachable(field, START, np.array([7.0, 0.0])) is None
 
 
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+@pytest.mark.parametrize("seed", range(5))
+def test_a_pillar_is_passed_on_the_same_side_as_before(seed: int, side: float) -> None:
+    field = field_of(np.array([[4.0, 0.0]]), 0.3)
+    previous = np.array([[0.0, 0.0], [4.0, 1.3 * side], [8.0, 0.0]])
+    found = planner(seed).search(field, START, np.array([8.0, 0.0]), NOWHERE, previous)
+    crossing = np.interp(4.0, found.points[:, 0], found.points[:, 1])
+    assert crossing * side > 1.0
+
+
 def test_equal_generators_give_equal_paths() -> None:
     field = field_of(np.array([[4.0, 0.2], [6.0, -1.0]]), 0.4)
     goal = np.array([8.0, 0.0])
-    one, two, other = (planner(seed).search(field, START, goal, NOWHERE).points for seed in (1, 1, 2))
+    one, two, other = (planner(seed).search(field, START, goal, NOWHERE, None).points for seed in (1, 1, 2))
     assert one.tobytes() == two.tobytes()
     assert one.tobytes() != other.tobytes()
