@@ -22,11 +22,11 @@ def normalize(q: ArrayLike) -> FloatArray:
         ValueError: if a quaternion has no direction (zero or not finite).
     """
     quaternion = np.asarray(q, dtype=np.float64)
-    norm = np.linalg.norm(quaternion, axis=-1, keepdims=True)
-    if not np.all(np.isfinite(norm)) or np.any(norm == 0.0):
+    norm = np.sqrt(np.sum(quaternion * quaternion, axis=-1, keepdims=True))
+    # Written so that not-a-number fails the comparison too.
+    if not np.all((norm > 0.0) & (norm < np.inf)):
         raise ValueError("a quaternion must be finite and not zero")
-    sign = np.where(quaternion[..., :1] < 0.0, -1.0, 1.0)
-    unit: FloatArray = quaternion * (sign / norm)
+    unit: FloatArray = quaternion / np.copysign(norm, quaternion[..., :1])
     return unit
 
 
@@ -86,25 +86,18 @@ def from_matrix(R_a_b: ArrayLike) -> FloatArray:
     """Return q_a_b (..., 4) of rotation matrices (..., 3, 3), by the largest of Shepperd's four forms."""
     R = np.asarray(R_a_b, dtype=np.float64)
     trace = R[..., 0, 0] + R[..., 1, 1] + R[..., 2, 2]
-    diagonal = np.stack([trace, R[..., 0, 0], R[..., 1, 1], R[..., 2, 2]], axis=-1)
-    x = R[..., 2, 1] - R[..., 1, 2]
-    y = R[..., 0, 2] - R[..., 2, 0]
-    z = R[..., 1, 0] - R[..., 0, 1]
-    xy = R[..., 0, 1] + R[..., 1, 0]
-    xz = R[..., 0, 2] + R[..., 2, 0]
-    yz = R[..., 1, 2] + R[..., 2, 1]
-    squares = 1.0 - trace[..., None] + 2.0 * diagonal
-    squares[..., 0] = 1.0 + trace
-    candidates = np.stack(
-        [
-            np.stack([squares[..., 0], x, y, z], axis=-1),
-            np.stack([x, squares[..., 1], xy, xz], axis=-1),
-            np.stack([y, xy, squares[..., 2], yz], axis=-1),
-            np.stack([z, xz, yz, squares[..., 3]], axis=-1),
-        ],
-        axis=-2,
-    )
-    best = np.argmax(diagonal, axis=-1)
+    candidates = np.empty((*trace.shape, 4, 4))
+    candidates[..., 0, 0] = 1.0 + trace
+    for axis in range(3):
+        candidates[..., axis + 1, axis + 1] = 1.0 - trace + 2.0 * R[..., axis, axis]
+    candidates[..., 0, 1] = candidates[..., 1, 0] = R[..., 2, 1] - R[..., 1, 2]
+    candidates[..., 0, 2] = candidates[..., 2, 0] = R[..., 0, 2] - R[..., 2, 0]
+    candidates[..., 0, 3] = candidates[..., 3, 0] = R[..., 1, 0] - R[..., 0, 1]
+    candidates[..., 1, 2] = candidates[..., 2, 1] = R[..., 0, 1] + R[..., 1, 0]
+    candidates[..., 1, 3] = candidates[..., 3, 1] = R[..., 0, 2] + R[..., 2, 0]
+    candidates[..., 2, 3] = candidates[..., 3, 2] = R[..., 1, 2] + R[..., 2, 1]
+    # The form with the largest divisor loses the least precision.
+    best = np.argmax(np.diagonal(candidates, axis1=-2, axis2=-1), axis=-1)
     return normalize(np.take_along_axis(candidates, best[..., None, None], axis=-2)[..., 0, :])
 
 

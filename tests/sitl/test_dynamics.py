@@ -14,6 +14,8 @@ from sitl.dynamics import (
     at_rest,
     step,
 )
+from tests.sitl.dynamics_oracle import OracleState
+from tests.sitl.dynamics_oracle import step as oracle_step
 
 SETTINGS = QuadrotorSettings()
 
@@ -200,3 +202,35 @@ def test_the_motion_of_one_vehicle_can_be_taken_out() -> None:
     assert motion.p_world.shape == (3,)
     assert motion.q_world_body.shape == (4,)
     assert motion.v_world[0] > 0.0
+
+
+def test_the_kernel_follows_the_readable_form_through_a_whole_flight() -> None:
+    generator = np.random.default_rng(5)
+    fast = at_rest(np.array([[0.0, 0.0, 0.0], [1.0, 2.0, 4.0]]), np.array([0.3, -2.0]), settings=SETTINGS)
+    slow = OracleState(
+        p_world=fast.p_world, v_world=fast.v_world, q_world_body=fast.q_world_body,
+        omega_body=fast.omega_body, accel_world=fast.accel_world, thrust=fast.thrust,
+        accel_setpoint_world=fast.memory[:, :3], accel_integral_world=fast.memory[:, 3:],
+        pending=fast.pending, on_ground=fast.on_ground, touchdown_speed=fast.touchdown_speed,
+    )  # fmt: skip
+    for index in range(2000):
+        if index % 200 == 0:
+            command = QuadrotorCommand(
+                generator.uniform(-3.0, 3.0, (2, 3)),
+                generator.uniform(-2.0, 2.0, 2),
+                np.array([index > 100, True]),
+            )
+        wind, error = generator.normal(0.0, 1.0, (2, 3)), generator.normal(0.0, 0.2, (2, 3))
+        slow = oracle_step(slow, command, slow.v_world + error, wind, settings=SETTINGS)
+        fast = step(fast, command, fast.v_world + error, wind, settings=SETTINGS)
+        for name in (
+            "p_world",
+            "v_world",
+            "q_world_body",
+            "omega_body",
+            "accel_world",
+            "thrust",
+            "on_ground",
+        ):
+            np.testing.assert_allclose(getattr(fast, name), getattr(slow, name), atol=1e-6, err_msg=name)
+        np.testing.assert_array_equal(fast.on_ground, slow.on_ground)

@@ -40,7 +40,7 @@ def body_odometry(
     R_map_imu = state.R_map_imu
     R_imu_body = rotation.to_matrix(T_imu_body.q)
     lever_imu = T_imu_body.p
-    swing_imu = np.cross(omega_imu, lever_imu)
+    swing_imu = cross_matrix(omega_imu) @ lever_imu
 
     pose_jacobian = np.zeros((6, 18))
     pose_jacobian[0:3, P] = np.eye(3)
@@ -55,7 +55,7 @@ def body_odometry(
         t_ns=t_ns,
         t_sensor_ns=state.t_ns,
         p_map=state.p_map + R_map_imu @ lever_imu,
-        q_map_body=rotation.normalize(rotation.from_matrix(R_map_imu @ R_imu_body)),
+        q_map_body=rotation.from_matrix(R_map_imu @ R_imu_body),
         v_map=state.v_map + R_map_imu @ swing_imu,
         omega_body=R_imu_body.T @ omega_imu,
         covariance_pose=_at_least(

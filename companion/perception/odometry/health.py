@@ -1,8 +1,7 @@
 """How far the estimate can be trusted: status, quality and the reason."""
 
+import math
 from dataclasses import dataclass
-
-import numpy as np
 
 from companion.messages import OdometryStatus
 from companion.perception.odometry.settings import OdometrySettings
@@ -78,7 +77,8 @@ class HealthMonitor:
         age_s = (state.t_ns - self._corrected_ns) * 1e-9
         if age_s > self._settings.lost_after_s:
             return Health(OdometryStatus.LOST, 0, f"no scan matched for {age_s:.1f} s")
-        sigma_m = float(np.sqrt(max(0.0, float(np.linalg.eigvalsh(state.covariance[P, P])[-1]))))
+        # The trace bounds the largest eigenvalue from above and is far cheaper, 200 times a second.
+        sigma_m = math.sqrt(max(0.0, float(state.covariance[P, P].trace())))
         if sigma_m > _LOST_SIGMA_M:
             return Health(OdometryStatus.LOST, 0, f"position uncertain by {sigma_m:.1f} m")
         late = (age_s - self._settings.degraded_after_s) / (
