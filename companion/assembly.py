@@ -14,7 +14,9 @@ _PLANNER_SEED = 0
 def assemble(profile: Profile) -> Pipeline:
     """Build the pipeline of one vehicle."""
     return Pipeline(
-        estimator=LidarInertialOdometry(profile.odometry, profile.vehicle.T_body_lidar, profile.vehicle.T_lidar_imu),
+        estimator=LidarInertialOdometry(
+            profile.odometry, profile.vehicle.T_body_lidar, profile.vehicle.T_lidar_imu
+        ),
         role=_role(profile),
         safety=profile.safety,
         authorisation_sources=profile.authorisation.sources,

@@ -1,6 +1,4 @@
-"""A PX4 with its internal simulator, in real time on real sockets, without our sensors: a stand-in for the real
-one.
-"""
+"""A stand-in for a PX4 with its internal simulator: real time, real sockets, none of our sensors."""
 
 import asyncio
 from collections.abc import Mapping
