@@ -40,6 +40,10 @@ class SystemClock:
         """Return nanoseconds since the Unix epoch, for file names and log metadata only."""
         return time.time_ns()
 
+    def thread_cpu_ns(self) -> int:
+        """Return the processor time that the calling thread has used, for measurements."""
+        return time.thread_time_ns()
+
     async def sleep(self, duration_ns: int) -> None:
         """Suspend the calling task for a duration in nanoseconds (at once when not positive)."""
         await asyncio.sleep(max(0, duration_ns) / NANOSECONDS_PER_SECOND)

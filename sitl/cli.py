@@ -10,6 +10,7 @@ import typer
 from companion import __version__
 from companion.command_line import AsJson, Result, conclude, run
 from companion.exit_codes import ExitCode
+from sitl.bench_cli import app as bench_app
 
 if TYPE_CHECKING:
     from sitl.outcome import Ending, Outcome
@@ -26,6 +27,8 @@ app = typer.Typer(
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
 )
+
+app.add_typer(bench_app, name="bench")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -3,12 +3,9 @@
 Times are processor time of one thread, the best of several rounds.
 """
 
-import argparse
-import json
-import time
-
 import numpy as np
 
+from companion.clock import SystemClock
 from companion.geometry.pose import Pose
 from companion.geometry.rotation import IDENTITY
 from companion.messages import FloatArray
@@ -22,13 +19,14 @@ SLOTS = 20_000
 STEPS = 20
 STEP_NS = 5_000_000
 RANGE_M = 100.0
+_CLOCK = SystemClock()
 
 
 def _world(pillars: int) -> World:
     """Return the ground and exactly `pillars` pillars."""
     field = pillar_field(np.random.default_rng(1), PillarFieldSettings(size_m=(60.0, 60.0)))
     if len(field) <= pillars:
-        raise SystemExit(f"the field has room for {len(field) - 1} pillars only")
+        raise ValueError(f"the field has room for {len(field) - 1} pillars only")
     keep = slice(0, pillars + 1)
     return World(
         field.kinds[keep], field.rows[keep], field.discs[keep], field.reflectivity[keep],
@@ -41,10 +39,10 @@ def _rays_per_s(world: World, directions: FloatArray, rounds: int) -> float:
     world.cast(origins, directions, RANGE_M)
     best = float("inf")
     for _ in range(rounds):
-        start = time.thread_time()
+        start = _CLOCK.thread_cpu_ns()
         world.cast(origins, directions, RANGE_M)
-        best = min(best, time.thread_time() - start)
-    return len(directions) / best
+        best = min(best, _CLOCK.thread_cpu_ns() - start)
+    return 1e9 * len(directions) / best
 
 
 def _scan_ms(world: World, rounds: int) -> float:
@@ -55,40 +53,23 @@ def _scan_ms(world: World, rounds: int) -> float:
     q_world_body = np.tile(IDENTITY, (STEPS + 1, 1))
     best = float("inf")
     for _ in range(rounds + 1):
-        start = time.thread_time()
+        start = _CLOCK.thread_cpu_ns()
         for step in range(STEPS):
             part = slice(step, step + 2)
             trajectory = BodyTrajectory(times_ns[part], p_world[part], q_world_body[part])
             model.measure(step * SLOTS // STEPS, SLOTS // STEPS, trajectory, world)
-        best = min(best, time.thread_time() - start)
-    return 1e3 * best
+        best = min(best, _CLOCK.thread_cpu_ns() - start)
+    return 1e-6 * best
 
 
-def main() -> None:
-    """Measure and print."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
-    parser.add_argument("--pillars", type=int, default=60)
-    parser.add_argument("--rounds", type=int, default=10)
-    arguments = parser.parse_args()
-    world = _world(arguments.pillars)
-    rng = np.random.default_rng(0)
+def measure(pillars: int = 60, rounds: int = 10) -> list[dict[str, object]]:
+    """Return one row a quantity, against `pillars` pillars and the ground."""
+    world = _world(pillars)
     in_order = ScanPattern().directions_lidar(0, 10 * SLOTS)
-    in_disorder = rng.permutation(in_order)
-    figures = {
-        "pillars": arguments.pillars,
-        "rays_per_s_in_firing_order": _rays_per_s(world, in_order, arguments.rounds),
-        "rays_per_s_in_random_order": _rays_per_s(world, in_disorder, arguments.rounds),
-        "ms_per_20000_slots": _scan_ms(world, arguments.rounds),
-    }
-    if arguments.json:
-        print(json.dumps(figures))
-        return
-    print(f"nearest hits against {arguments.pillars} pillars and the ground, one core:")
-    print(f"  rays in firing order   {figures['rays_per_s_in_firing_order'] / 1e6:8.1f} M/s")
-    print(f"  rays in random order   {figures['rays_per_s_in_random_order'] / 1e6:8.1f} M/s")
-    print(f"  20,000 Mid-360 slots   {figures['ms_per_20000_slots']:8.1f} ms, everything included")
-
-
-if __name__ == "__main__":
-    main()
+    in_disorder = np.random.default_rng(0).permutation(in_order)
+    figures = (
+        ("rays in firing order", 1e-6 * _rays_per_s(world, in_order, rounds), "M/s"),
+        ("rays in random order", 1e-6 * _rays_per_s(world, in_disorder, rounds), "M/s"),
+        ("20,000 Mid-360 slots, all included", _scan_ms(world, rounds), "ms"),
+    )
+    return [{"what": what, "value": round(value, 2), "unit": unit} for what, value, unit in figures]
