@@ -32,11 +32,14 @@ class SensorRig:
         Args:
             start: the body's motion at the end of the previous step.
             end: its motion `step_ns` nanoseconds later.
-            step_ns: length of the step.
+            step_ns: length of the step, a multiple of the firing period of 20 us.
             thrust: of the motors by vehicle mass, m/s^2; it drives the vibration.
 
         Returns:
             All slots that fire within the step, and one inertial sample stamped with its end.
+
+        Raises:
+            ValueError: if the step cuts a firing in two.
         """
         t_start_ns, t_end_ns = self._t_sensor_ns, self._t_sensor_ns + step_ns
         # A slot belongs to the step in which it fires; the one that fires at the very end to the next.
