@@ -76,6 +76,7 @@ def run_scenario(
     Without options: step by step, as fast as possible, and the same seed writes the same bytes. With `--wire`
     the process that flies is `companion fly` itself. Leaves with 0 on success and 3 when the flight failed.
     """
+    truth_address = _address(px4_truth)
 
     def body() -> tuple[Result, ExitCode]:
         from sitl.outcome import evaluate
@@ -95,7 +96,7 @@ def run_scenario(
                 seed,
                 log,
                 url=px4,
-                truth_address=_address(px4_truth),
+                truth_address=truth_address,
                 apply=px4_params == "apply",
                 on_progress=_show,
                 on_parameter=lambda line: print(f"PX4: {line}", file=sys.stderr),
@@ -145,7 +146,7 @@ def px4(
     truth: Annotated[
         str, typer.Option(metavar="HOST:PORT", help="Where to publish the true motion.")
     ] = "127.0.0.1:19410",
-    companion_port: Annotated[int, typer.Option(help="UDP port of the companion.")] = 14540,
+    companion_port: Annotated[int, typer.Option(min=1, max=65535, help="UDP port of the companion.")] = 14540,
     seed: Annotated[int, typer.Option(min=0, help="Of all noise.")] = 1,
     json_output: AsJson = False,
 ) -> None:
@@ -153,6 +154,7 @@ def px4(
 
     For trying `sitl run --px4` where no PX4 is at hand.
     """
+    truth_address = _address(truth)
 
     def body() -> tuple[Result, ExitCode]:
         import asyncio
@@ -164,7 +166,7 @@ def px4(
 
         sockets = MavlinkSocketSettings(companion_port=companion_port)
         parameters = GNSS_DENIED if gnss_denied else {}
-        stand_in = Px4StandIn(parameters, sockets, _address(truth), SystemClock(), seed)
+        stand_in = Px4StandIn(parameters, sockets, truth_address, SystemClock(), seed)
         asyncio.run(stand_in.run())
         return {}, ExitCode.OK
 
