@@ -18,6 +18,7 @@ _FORWARD_M = 3.0
 _NEARLY_OVER_M = 1.0
 _WINDING = 1.5
 _MUCH_SHORTER = 0.5
+_SAME_PLACE_M = 1.5
 _TRAIL_SPACING_M = 1.0
 _TRAIL_POINTS = 100
 _PROGRESS_M = 1.0
@@ -190,7 +191,10 @@ class Route:
     def _is_much_shorter(self, found: LocalPath, rest: FloatArray) -> bool:
         if found.status is not SearchStatus.REACHED:
             return False
-        return length_of(found.points) < _MUCH_SHORTER * length_of(rest)
+        # A shorter way to the same place is simply better; one to another place may end where we came from.
+        same_place = np.hypot(*(found.points[-1] - rest[-1])) < _SAME_PLACE_M
+        share = 1.0 / self._settings.keep_ratio if same_place else _MUCH_SHORTER
+        return length_of(found.points) < share * length_of(rest)
 
     def _rest(self, points: FloatArray) -> FloatArray:
         """Return the part of the path past the vehicle's nearest point, that point first."""

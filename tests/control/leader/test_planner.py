@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from companion.control.leader.planner import LeaderDecision, LeaderPlanner
-from companion.control.leader.settings import LeaderSettings
+from companion.control.leader.settings import LeaderSettings, MissionSettings
 from companion.messages import OdometryStatus
 from tests.control.leader.fields import wall
 from tests.control.leader.flight import Pillars, mission_to, odometry_at, scan_of
@@ -139,6 +139,15 @@ def test_the_height_of_the_waypoint_is_flown_within_the_climb_limit() -> None:
     planner = leader(mission_to((20.0, 0.0, 4.0)))
     planner.reset(odometry_at(T_START_NS, HOVER))
     assert hover(planner, 200)[-1].command.v_map[2] == pytest.approx(0.5, abs=0.01)
+
+
+def test_no_command_is_faster_than_the_limit() -> None:
+    mission = MissionSettings(waypoints_m=[[20.0, 0.0, 9.0]], speed_mps=1.0, max_speed_mps=1.0)
+    planner = leader(LeaderSettings(mission=mission))
+    planner.reset(odometry_at(T_START_NS, HOVER))
+    v_map = hover(planner, 250)[-1].command.v_map
+    assert np.linalg.norm(v_map) == pytest.approx(1.0, abs=1e-3)
+    assert v_map[2] > 0.4
 
 
 def test_old_odometry_is_carried_forward_by_its_velocity() -> None:
