@@ -1,0 +1,102 @@
+"""Kernels are registered when declared, compiled on demand, and never again after the warm-up."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+# Each script runs in a process of its own: a warm-up forbids compiling for the rest of the process.
+DECLARE = """
+import numpy as np
+from companion import compiled as registry
+from companion.compiled import compiled, inlined, warm_up
+
+@inlined
+def doubled(x):
+    return 2.0 * x
+
+@compiled("void(float64[::1], float64[::1])")
+def scale(values, out):
+    for index in range(len(values)):
+        out[index] = doubled(values[index])
+
+@compiled("float64(float64, float64)")
+def quotient(numerator, denominator):
+    return numerator / denominator
+
+out = np.empty(3)
+"""
+
+
+def run(folder: Path, script: str) -> str:
+    """Return what a script prints; it lives in a file, as cached kernels must."""
+    path = folder / "kernels.py"
+    path.write_text(DECLARE + script)
+    result = subprocess.run(
+        [sys.executable, str(path)],
+        env={"NUMBA_CACHE_DIR": str(folder / "cache"), "PYTHONPATH": str(Path(__file__).parents[1])},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
+    )
+    assert result.returncode == 0, result.stderr
+    return result.stdout
+
+
+def test_declaring_registers_a_kernel_and_compiles_nothing(tmp_path: Path) -> None:
+    script = """
+for dispatcher, signature in registry._registry:
+    print(dispatcher.py_func.__name__, signature)
+assert scale.signatures == quotient.signatures == doubled.signatures == []
+"""
+    assert run(tmp_path, script).splitlines() == [
+        "scale void(float64[::1], float64[::1])",
+        "quotient float64(float64, float64)",
+    ]
+    assert not list(tmp_path.rglob("*.nbc"))
+
+
+def test_the_warm_up_makes_every_kernel_ready_for_its_one_signature_and_no_other(tmp_path: Path) -> None:
+    script = """
+seen = []
+assert warm_up(lambda *progress: seen.append(progress)) == 2
+assert seen == [("scale", 1, 2), ("quotient", 2, 2)], seen
+scale(np.array([1.0, 2.0, 3.0]), out)
+assert out.tolist() == [2.0, 4.0, 6.0]
+for wrong in (np.arange(3, dtype=np.float32), np.arange(6.0)[::2]):
+    try:
+        scale(wrong, out)
+    except TypeError:
+        print("refused")
+assert warm_up() == 2
+assert len(scale.signatures) == len(quotient.signatures) == 1
+"""
+    assert run(tmp_path, script).splitlines() == ["refused", "refused"]
+
+
+def test_before_the_warm_up_a_first_call_compiles_that_kernel_alone(tmp_path: Path) -> None:
+    script = """
+assert quotient(1.0, 4.0) == 0.25
+assert len(quotient.signatures) == 1
+assert scale.signatures == []
+"""
+    run(tmp_path, script)
+
+
+def test_kernels_divide_by_zero_like_ieee_754_and_let_other_threads_run(tmp_path: Path) -> None:
+    script = """
+assert quotient(1.0, 0.0) == np.inf
+assert np.isnan(quotient(0.0, 0.0))
+assert all(dispatcher.targetoptions["nogil"] for dispatcher, _ in registry._registry)
+"""
+    run(tmp_path, script)
+
+
+def test_a_second_process_loads_from_the_disk_what_the_first_compiled(tmp_path: Path) -> None:
+    script = """
+warm_up()
+print(sum(sum(kernel.stats.cache_hits.values()) for kernel in (scale, quotient)))
+print(sum(sum(kernel.stats.cache_misses.values()) for kernel in (scale, quotient)))
+"""
+    assert run(tmp_path, script).split() == ["0", "2"]
+    assert run(tmp_path, script).split() == ["2", "0"]
