@@ -2,15 +2,21 @@
 
 import asyncio
 import os
+import signal
 import sys
 import tempfile
+from collections.abc import Coroutine, Sequence
 from pathlib import Path
+from typing import Any, TypeVar
 
 from companion.directories import SOCKET_NAME
 from companion.errors import StartError
+from companion.logs.log_queue import LogEntry
+from companion.logs.recovery import add_messages
 
 _STOP_TIMEOUT_S = 10.0
 _CONSOLE_NAME = "companion.log"
+_Result = TypeVar("_Result")
 
 
 class CompanionProcess:
@@ -75,19 +81,41 @@ class CompanionProcess:
         lines = self._console.read_text(encoding="utf-8", errors="replace").strip().splitlines()
         return lines[-1] if lines else "it said nothing"
 
-    def take_log(self) -> Path:
-        """Return the flight log that the process left, finished or not.
+    def log(self) -> Path | None:
+        """Return the flight log that the process left, finished or not, if there is one."""
+        found = sorted(self._logs.glob("*.mcap*"))
+        return found[-1] if found else None
+
+    def hand_over_log(self, truth: Sequence[LogEntry], log_path: Path) -> None:
+        """Move the flight log to `log_path` with the truth added, however the flight ended.
 
         Raises:
-            StartError: if there is none, with the last line of the console output.
+            StartError: if there is no log, with the last line of the console output.
+            LogError: if it cannot be copied; it then stays where it is.
         """
-        found = sorted(self._logs.glob("*.mcap*"))
-        if not found:
+        log = self.log()
+        if log is None:
             raise StartError(f"the companion wrote no log: {self.last_words()}")
-        return found[-1]
-
-    def remove_log(self) -> None:
-        """Delete the log folder once its content has been taken over."""
+        add_messages(log, truth, log_path)
         for path in self._logs.iterdir():
             path.unlink()
         self._logs.rmdir()
+
+
+def run_until_terminated(flight: Coroutine[Any, Any, _Result]) -> _Result:
+    """Run a flight; SIGTERM ends it in order like Ctrl-C, so that no companion is left behind.
+
+    Raises:
+        KeyboardInterrupt: if it was ended by a signal.
+    """
+
+    async def watched() -> _Result:
+        task = asyncio.current_task()
+        assert task is not None
+        asyncio.get_running_loop().add_signal_handler(signal.SIGTERM, task.cancel)
+        return await flight
+
+    try:
+        return asyncio.run(watched())
+    except asyncio.CancelledError:
+        raise KeyboardInterrupt from None

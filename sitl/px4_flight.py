@@ -18,9 +18,8 @@ from companion.kernel_cache import load_kernels
 from companion.logs import channels
 from companion.logs.log_queue import LogEntry
 from companion.logs.records import StampedPose
-from companion.logs.recovery import add_messages
 from companion.messages import LandedState
-from sitl.companion_process import CompanionProcess
+from sitl.companion_process import CompanionProcess, run_until_terminated
 from sitl.dynamics import GRAVITY, STEP_NS
 from sitl.ground_link import GROUND_ADDRESS, GroundLink
 from sitl.kinematics import Kinematics
@@ -198,8 +197,7 @@ async def _fly(
         link.close()
         if flight is not None:
             await flight.close()
-    add_messages(flight.companion.take_log(), flight.truth_log, log_path)
-    flight.companion.remove_log()
+            flight.companion.hand_over_log(flight.truth_log, log_path)
     return flight.referee.ending(wall_time_s=ns_to_seconds(clock.now_ns() - start_ns))
 
 
@@ -251,6 +249,6 @@ def fly_px4(
     load_kernels()
     gc.collect()
     gc.freeze()
-    return asyncio.run(
+    return run_until_terminated(
         _fly(scenario, folder, seed, log_path, url, truth_address, apply, on_progress, on_parameter)
     )

@@ -1,6 +1,5 @@
 """A flight in real time over real sockets, with the companion as its own process."""
 
-import asyncio
 import gc
 from collections.abc import Callable
 from pathlib import Path
@@ -9,8 +8,7 @@ from companion.clock import SystemClock, ns_to_seconds, seconds_to_ns
 from companion.kernel_cache import load_kernels
 from companion.logs import channels
 from companion.logs.log_queue import LogEntry
-from companion.logs.recovery import add_messages
-from sitl.companion_process import CompanionProcess
+from sitl.companion_process import CompanionProcess, run_until_terminated
 from sitl.dynamics import STEP_NS
 from sitl.ground_link import GROUND_ADDRESS, GroundLink
 from sitl.livox_sockets import LivoxSockets
@@ -114,8 +112,7 @@ async def _fly(stage: Stage, log_path: Path, on_progress: Progress | None) -> En
                 on_progress(referee.elapsed_s, mode, referee.goal_distance_m)
     finally:
         await flight.close()
-    add_messages(flight.companion.take_log(), flight.truth, log_path)
-    flight.companion.remove_log()
+        flight.companion.hand_over_log(flight.truth, log_path)
     return referee.ending(wall_time_s=ns_to_seconds(clock.now_ns() - start_ns))
 
 
@@ -134,4 +131,4 @@ def fly_wire(stage: Stage, log_path: Path, on_progress: Progress | None = None) 
     load_kernels()
     gc.collect()
     gc.freeze()
-    return asyncio.run(_fly(stage, log_path, on_progress))
+    return run_until_terminated(_fly(stage, log_path, on_progress))

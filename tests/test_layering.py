@@ -12,7 +12,18 @@ WINGS = ("drivers", "perception", "control", "safety", "logs")
 # A module may import its own floor's modules only where that makes no circle, and any lower floor.
 FLOORS: tuple[frozenset[str], ...] = (
     frozenset(
-        {"errors", "clock", "geometry", "settings", "compiled", "yaml_tree", "yaml_source", "yaml_problems", "directories", "exit_codes"}
+        {
+            "clock",
+            "compiled",
+            "directories",
+            "errors",
+            "exit_codes",
+            "geometry",
+            "settings",
+            "yaml_problems",
+            "yaml_source",
+            "yaml_tree",
+        }
     ),
     frozenset({"messages"}),
     frozenset(WINGS),

@@ -134,6 +134,8 @@ def test_sigterm_in_the_air_brakes_ends_the_stream_and_leaves_a_closed_log(tmp_p
             os.kill(pid, signal.SIGTERM)
             await advance_until(flight, lambda: not flight.companion.running)
             assert await advance_for(flight, 0.5) == 0
-            assert flight.companion.take_log().suffix == ".mcap"
+            log = flight.companion.log()
+            assert log is not None
+            assert log.suffix == ".mcap"
 
     asyncio.run(fly())
