@@ -89,10 +89,15 @@ class CompanionProcess:
     def hand_over_log(self, truth: Sequence[LogEntry], log_path: Path) -> None:
         """Move the flight log to `log_path` with the truth added, however the flight ended.
 
+        A process that never started has none, and whatever kept it from starting is what should be heard.
+
         Raises:
             StartError: if there is no log, with the last line of the console output.
             LogError: if it cannot be copied; it then stays where it is.
         """
+        if self._process is None:
+            self._logs.rmdir()
+            return
         log = self.log()
         if log is None:
             raise StartError(f"the companion wrote no log: {self.last_words()}")
