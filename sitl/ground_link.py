@@ -4,6 +4,7 @@ import asyncio
 from typing import Any
 
 from companion.clock import Clock
+from companion.errors import StartError
 from sitl.operator import Operator
 
 GROUND_ADDRESS = ("127.0.0.1", 14550)
@@ -24,10 +25,15 @@ class GroundLink(asyncio.DatagramProtocol):
         """Listen on a local address.
 
         Raises:
-            OSError: if it cannot be bound.
+            StartError: if it cannot be bound.
         """
         loop = asyncio.get_running_loop()
-        self._transport, _ = await loop.create_datagram_endpoint(lambda: self, local_addr=address)
+        try:
+            self._transport, _ = await loop.create_datagram_endpoint(lambda: self, local_addr=address)
+        except OSError as error:
+            raise StartError(
+                f"ground station: cannot listen on {address[0]}:{address[1]}: {error.strerror}"
+            ) from None
 
     def close(self) -> None:
         """Stop listening."""

@@ -3,6 +3,7 @@
 import asyncio
 import os
 import signal
+import socket
 from collections.abc import Callable
 from pathlib import Path
 
@@ -17,6 +18,10 @@ from companion.logs.log_queue import LogEntry
 from companion.logs.reader import FlightRecording
 from companion.logs.records import StampedPose
 from sitl.companion_process import CompanionProcess, run_until_terminated
+from sitl.ground_link import GROUND_ADDRESS
+from sitl.scenario import load_scenario, set_stage
+from sitl.wire import fly_wire
+from tests.sitl.short_flight import write_scenario
 
 MS = 1_000_000
 TRUTH = LogEntry(channels.TRUTH, 5, 0, StampedPose(5, "world", np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])))
@@ -144,6 +149,17 @@ def test_what_never_started_leaves_nothing_behind(tmp_path: Path, profile: Path)
     process.hand_over_log([TRUTH], tmp_path / "flight.mcap")
     assert not process.control_socket.parent.exists()
     assert [path.name for path in tmp_path.iterdir()] == ["uav1.yaml"]
+
+
+@pytest.mark.xdist_group("sockets")
+def test_a_flight_whose_ground_station_finds_its_address_taken_says_so(tmp_path: Path) -> None:
+    path = write_scenario(tmp_path, world={"primitives": [{"shape": "ground"}]})
+    stage = set_stage(load_scenario(path), tmp_path, None)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.bind(GROUND_ADDRESS)
+        with pytest.raises(StartError, match=r"^ground station: cannot listen on 127\.0\.0\.1:14550: "):
+            fly_wire(stage, tmp_path / "flight.mcap")
+    assert not list(tmp_path.glob("logs-*"))
 
 
 class TestRunUntilTerminated:

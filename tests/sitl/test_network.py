@@ -45,11 +45,12 @@ def test_the_share_that_is_lost_is_the_share_asked_for(loss: float) -> None:
     assert max(Counter(map(index_of, arrived)).values()) == 1
 
 
-def test_the_share_that_arrives_twice_is_the_share_asked_for() -> None:
-    copies = Counter(map(index_of, arrivals(network(duplication=0.2), sent())))
+@pytest.mark.parametrize("loss", [0.0, 0.3])
+def test_of_what_arrives_the_share_asked_for_arrives_twice(loss: float) -> None:
+    copies = Counter(map(index_of, arrivals(network(loss=loss, duplication=0.2), sent())))
     assert set(copies.values()) == {1, 2}
-    assert sum(count == 2 for count in copies.values()) / COUNT == pytest.approx(0.2, abs=0.015)
-    assert len(copies) == COUNT
+    assert sum(count == 2 for count in copies.values()) / len(copies) == pytest.approx(0.2, abs=0.015)
+    assert len(copies) / COUNT == pytest.approx(1.0 - loss, abs=0.015)
 
 
 def test_everything_may_be_lost_or_doubled() -> None:

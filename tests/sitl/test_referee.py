@@ -92,6 +92,13 @@ def test_a_collision_ends_the_flight_at_once_even_over_the_goal(stage: Stage) ->
     assert (ending.success, ending.reason, ending.collisions) == (False, "collision", 1)
 
 
+def test_a_contact_seen_after_the_landing_takes_the_success_back(stage: Stage) -> None:
+    flight = Flight(stage)
+    flight.fly_and_land(stage.goal_world)
+    assert flight.at(14.0).ending(1.0).success
+    assert not flight.at(14.1, collisions=1).ending(1.0).success
+
+
 def test_the_longest_duration_ends_the_flight(stage: Stage) -> None:
     flight = Flight(stage)
     assert not flight.at(59.9, armed=True, landed=False).over
