@@ -20,6 +20,7 @@ from companion.messages import (
     Output,
     PerceptionUpdate,
     PlanUpdate,
+    SensorEvent,
     Setpoint,
     StateChange,
     StatusText,
@@ -45,6 +46,10 @@ class Exchange:
     def record_datagram(self, datagram: Datagram) -> None:
         """Keep one raw LiDAR datagram."""
         self._log.record(datagram, datagram.t_ns)
+
+    def record_sensor_event(self, event: SensorEvent) -> None:
+        """Keep a summary of a scan, or an inertial sample where the settings want it; from any thread."""
+        self._log.record(event, event.t_ns)
 
     def record_counters(self, source: str, counters: object, t_ns: int) -> None:
         """Keep all numbers of a statistics snapshot (a slotted dataclass) under the name of its source."""
@@ -82,7 +87,9 @@ class Exchange:
 
     def tick(self, t_ns: int) -> list[MavlinkMessage]:
         """Decide at host time `t_ns`; call at the setpoint rate."""
-        messages: list[MavlinkMessage] = []
+        messages: list[MavlinkMessage] = self._carry_out(self._session.reports(), t_ns)
+        for text in self._session.autopilot_texts():
+            self._log.record(text, t_ns)
         for authorisation in self._session.authorisations():
             messages.extend(self.authorise(authorisation))
         for event in (self._session.vehicle_state(t_ns), Tick(t_ns)):

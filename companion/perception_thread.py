@@ -1,6 +1,5 @@
 """The thread in which the heavy half of the pipeline runs."""
 
-import contextlib
 import queue
 import threading
 from collections.abc import Callable, Sequence
@@ -21,12 +20,22 @@ class PerceptionThread:
         pipeline: Pipeline,
         deliver: Callable[[Sequence[PerceptionUpdate]], None],
         moved: Callable[[], None],
+        failed: Callable[[Exception], None],
     ) -> None:
-        """Call `deliver` from this thread with new estimates, and `moved` on every turn as proof of life."""
+        """Prepare; all functions are called from this thread.
+
+        Args:
+            pipeline: whose `perceive` runs here.
+            deliver: takes new estimates.
+            moved: called on every turn, as proof of life.
+            failed: told what ended the thread, if it was not `stop`.
+        """
         self._pipeline = pipeline
         self._deliver = deliver
         self._moved = moved
-        self._events: queue.Queue[SensorEvent | None] = queue.Queue(_MAX_WAITING_EVENTS)
+        self._failed = failed
+        self._events: queue.Queue[SensorEvent] = queue.Queue(_MAX_WAITING_EVENTS)
+        self._stopping = threading.Event()
         self._waiting_scans = 0
         self._lock = threading.Lock()
         self._thread = threading.Thread(target=self._run, name="perception", daemon=True)
@@ -38,8 +47,7 @@ class PerceptionThread:
 
     def stop(self) -> None:
         """Finish what waits and end; gives up after two seconds."""
-        with contextlib.suppress(queue.Full):
-            self._events.put_nowait(None)
+        self._stopping.set()
         self._thread.join(timeout=2.0)
 
     def submit(self, event: SensorEvent) -> None:
@@ -57,14 +65,18 @@ class PerceptionThread:
             self._waiting_scans += is_scan
 
     def _run(self) -> None:
-        while True:
+        try:
+            self._work()
+        except Exception as error:
+            self._failed(error)
+
+    def _work(self) -> None:
+        while not (self._stopping.is_set() and self._events.empty()):
             self._moved()
             try:
                 event = self._events.get(timeout=_IDLE_TURN_S)
             except queue.Empty:
                 continue
-            if event is None:
-                return
             if isinstance(event, LidarScan):
                 with self._lock:
                     self._waiting_scans -= 1

@@ -10,6 +10,7 @@ import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import structlog
 
@@ -23,7 +24,7 @@ from companion.drivers.px4 import Px4Link
 from companion.drivers.px4_session import Px4Session
 from companion.exchange import Exchange
 from companion.logs.writer import FlightLog
-from companion.messages import Authorisation, FlightState, MavlinkMessage, PerceptionUpdate
+from companion.messages import Authorisation, FlightState, MavlinkMessage, PerceptionUpdate, SensorEvent
 from companion.perception_thread import PerceptionThread
 from companion.safety.supervisor import COMMANDING
 from companion.service import Service
@@ -70,15 +71,14 @@ class Flight:
         self._exchange = Exchange(pipeline, session, log)
         self._link = Px4Link(profile.autopilot, session, clock, self._on_mavlink)
         self._perception = PerceptionThread(
-            pipeline, self._on_estimates, lambda: service.liveness.move("perception")
+            pipeline, self._on_estimates, lambda: service.liveness.move("perception"), self._on_failure
         )
-        self._lidar = LivoxDriver(
-            profile.lidar, clock, self._perception.submit, self._exchange.record_datagram
-        )
+        self._lidar = LivoxDriver(profile.lidar, clock, self._on_sensor_event, self._exchange.record_datagram)
         self._control = ControlSocket(service.directories.runtime / SOCKET_NAME, self._on_request)
         self._outbox: asyncio.Queue[tuple[int, list[MavlinkMessage]]] = asyncio.Queue(_OUTBOX_SIZE)
         self._loop: asyncio.AbstractEventLoop | None = None
         self._dropped = 0
+        self._failure: BaseException | None = None
 
     async def run(self) -> FlightOutcome:
         """Fly until asked to stop.
@@ -87,11 +87,14 @@ class Flight:
             StartError: if a driver cannot start; the text names the stage.
         """
         self._loop = asyncio.get_running_loop()
+        self._loop.set_exception_handler(self._on_loop_error)
         for part in _PARTS:
             self._service.liveness.require(part)
         async with contextlib.AsyncExitStack() as drivers:
             if await self._start_unless_stopped(drivers):
                 await self._fly()
+        if self._failure is not None:
+            raise self._failure
         return FlightOutcome(self._exchange.state, self._service.stop.reason, self._flight_log.path)
 
     async def _fly(self) -> None:
@@ -182,6 +185,30 @@ class Flight:
 
     def _on_mavlink(self, message: MavlinkMessage, t_ns: int) -> None:
         self._post(t_ns, self._exchange.receive(message, t_ns))
+
+    def _on_sensor_event(self, event: SensorEvent) -> None:
+        self._exchange.record_sensor_event(event)
+        self._perception.submit(event)
+
+    def _on_failure(self, error: Exception) -> None:
+        """End the flight because a thread has failed."""
+        if self._loop is not None:
+            with contextlib.suppress(RuntimeError):  # the loop has closed already
+                self._loop.call_soon_threadsafe(self._fail, error)
+
+    def _on_loop_error(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+        """End the flight because a callback has failed: going on without it would be going on blind."""
+        error = context.get("exception")
+        if error is None:
+            loop.default_exception_handler(context)
+        else:
+            self._fail(error)
+
+    def _fail(self, error: BaseException) -> None:
+        if self._failure is None:
+            self._failure = error
+            _log.error("internal error, the flight ends", error=repr(error))
+            self._service.stop.request("internal error")
 
     def _on_estimates(self, updates: Sequence[PerceptionUpdate]) -> None:
         if self._loop is not None:

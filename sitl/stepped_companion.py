@@ -58,6 +58,7 @@ class SteppedCompanion:
             return self._handshake.receive(datagram)
         self._exchange.record_datagram(datagram)
         for event in self._receiver.receive(datagram):
+            self._exchange.record_sensor_event(event)
             self._perception.submit(event)
         return []
 

@@ -8,7 +8,7 @@ import numpy as np
 from companion.control.hold import HoldRole
 from companion.messages import ImuSample, LidarScan, PerceptionUpdate, SensorEvent
 from companion.perception_thread import PerceptionThread
-from companion.pipeline import Pipeline
+from companion.pipeline import Estimator, Pipeline
 from companion.safety.settings import SafetySettings
 
 
@@ -27,7 +27,7 @@ class GatedEstimator:
         return []
 
 
-def thread_with(estimator: GatedEstimator) -> PerceptionThread:
+def thread_with(estimator: Estimator, failures: list[Exception]) -> PerceptionThread:
     pipeline = Pipeline(
         estimator=estimator, role=HoldRole(), safety=SafetySettings(), authorisation_sources=()
     )
@@ -35,7 +35,7 @@ def thread_with(estimator: GatedEstimator) -> PerceptionThread:
     def deliver(updates: Sequence[PerceptionUpdate]) -> None:
         raise AssertionError("nothing to deliver")
 
-    return PerceptionThread(pipeline, deliver, lambda: None)
+    return PerceptionThread(pipeline, deliver, lambda: None, failures.append)
 
 
 def imu(t_ns: int) -> ImuSample:
@@ -60,7 +60,7 @@ def scan(sequence: int) -> LidarScan:
 
 def test_when_perception_is_late_scans_are_dropped_but_no_imu_sample() -> None:
     estimator = GatedEstimator()
-    thread = thread_with(estimator)
+    thread = thread_with(estimator, [])
     thread.start()
     thread.submit(imu(0))
     assert estimator.entered.wait(5.0)
@@ -76,7 +76,7 @@ def test_when_perception_is_late_scans_are_dropped_but_no_imu_sample() -> None:
 
 def test_the_queue_is_bounded() -> None:
     estimator = GatedEstimator()
-    thread = thread_with(estimator)
+    thread = thread_with(estimator, [])
     thread.start()
     for index in range(1000):
         thread.submit(imu(index))
@@ -84,3 +84,19 @@ def test_the_queue_is_bounded() -> None:
     thread.stop()
     assert len(estimator.seen) <= 401
     assert thread.dropped == 1000 - len(estimator.seen)
+
+
+class FailingEstimator:
+    """Breaks on the first event."""
+
+    def handle(self, event: SensorEvent) -> list[PerceptionUpdate]:
+        raise ZeroDivisionError("broken")
+
+
+def test_a_failure_in_the_thread_is_told_and_not_swallowed() -> None:
+    failures: list[Exception] = []
+    thread = thread_with(FailingEstimator(), failures)
+    thread.start()
+    thread.submit(imu(0))
+    thread.stop()
+    assert [type(failure) for failure in failures] == [ZeroDivisionError]
