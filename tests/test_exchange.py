@@ -175,16 +175,9 @@ class TestTick:
 
     def test_a_text_leaves_once_though_all_repetitions_are_kept(self, rig: Rig) -> None:
         text = StatusText(T0, Severity.INFO, "ready")
-        sent = [message.fields["text"] for message in rig.tick(text, text) if message.name == "STATUSTEXT"]
-        assert sent.count("CMP: ready") == 1
-        kept = [entry.text for entry in rig.recorded(channels.LOG) if isinstance(entry, StatusText)]
-        assert kept.count("ready") == 2
-
-    def test_what_happens_to_the_link_is_kept_and_announced(self, rig: Rig) -> None:
-        sent = [message.fields["text"] for message in rig.tick() if message.name == "STATUSTEXT"]
-        kept = [entry.text for entry in rig.recorded(channels.LOG) if isinstance(entry, StatusText)]
-        assert kept == ["autopilot 7 connected"]
-        assert sent == ["CMP: autopilot 7 connected"]
+        sent = rig.tick(text, text)
+        assert [message.fields.get("text") for message in sent].count("CMP: ready") == 1
+        assert rig.recorded(channels.LOG).count(text) == 2
 
     def test_state_changes_and_plans_are_kept_and_send_nothing(self, rig: Rig) -> None:
         before = names(rig.tick())
