@@ -59,9 +59,12 @@ class EchoEstimator:
     """Turns every inertial sample into an estimate of the same time; remembers its thread."""
 
     thread = ""
+    error: Exception | None = None
 
     def handle(self, event: SensorEvent) -> list[PerceptionUpdate]:
         self.thread = threading.current_thread().name
+        if self.error is not None:
+            raise self.error
         return [an_odometry(event.t_ns, status=OdometryStatus.INITIALISING)]
 
 

@@ -15,13 +15,15 @@ from companion.logs import channels
 from companion.logs.channels import Channel
 from companion.logs.metadata import FlightMetadata
 from companion.logs.reader import FlightRecording
-from companion.logs.records import Statistics
+from companion.logs.records import FrameSummary, Statistics
 from companion.logs.writer import FlightLog, LogSettings
 from companion.messages import (
     Authorisation,
     ControlEvent,
     Datagram,
     FlightState,
+    ImuSample,
+    LidarScan,
     MavlinkMessage,
     ModeRequest,
     Odometry,
@@ -54,6 +56,20 @@ from tests.drivers.px4_peer import (
 )
 
 DATAGRAM = Datagram(T0, ("127.0.0.2", 56300), ("127.0.0.1", 56301), b"\x00" * 24)
+
+SCAN = LidarScan(
+    t_ns=T0,
+    sequence=3,
+    t_sensor_start_ns=0,
+    t_sensor_end_ns=100 * MS,
+    clock_offset_ns=5,
+    points_lidar=np.ones((2, 3), np.float32),
+    offsets_ns=np.zeros(2, np.int32),
+    reflectivity=np.zeros(2, np.uint8),
+    tags=np.zeros(2, np.uint8),
+    packets=207,
+    packets_expected=208,
+)
 
 
 class NoEstimator:
@@ -179,6 +195,21 @@ class TestTick:
         assert [message.fields.get("text") for message in sent].count("CMP: ready") == 1
         assert rig.recorded(channels.LOG).count(text) == 2
 
+    def test_what_happens_to_the_link_is_kept_and_announced(self, rig: Rig) -> None:
+        sent = [message.fields["text"] for message in rig.tick() if message.name == "STATUSTEXT"]
+        kept = [entry.text for entry in rig.recorded(channels.LOG) if isinstance(entry, StatusText)]
+        assert kept == ["autopilot 7 connected"]
+        assert sent == ["CMP: autopilot 7 connected"]
+
+    def test_what_the_autopilot_says_is_kept_and_not_repeated_to_the_ground(self, rig: Rig) -> None:
+        rig.tick()
+        rig.exchange.receive(
+            message("STATUSTEXT", severity=4, text="Low battery", id=0, chunk_seq=0), T0 + MS
+        )
+        assert "STATUSTEXT" not in names(rig.tick(t_ns=T0 + 2 * MS))
+        texts = [entry.text for entry in rig.recorded(channels.LOG) if isinstance(entry, StatusText)]
+        assert [text for text in texts if "Low battery" in text]
+
     def test_state_changes_and_plans_are_kept_and_send_nothing(self, rig: Rig) -> None:
         before = names(rig.tick())
         change = StateChange(T0, FlightState.STARTING, FlightState.STANDBY, "ready")
@@ -243,6 +274,17 @@ class TestTheRest:
     def test_a_datagram_is_kept_byte_by_byte(self, rig: Rig) -> None:
         rig.exchange.record_datagram(DATAGRAM)
         assert rig.recorded(channels.LIDAR_PACKETS) == [(DATAGRAM,)]
+
+    def test_of_a_scan_its_summary_is_kept_and_of_a_sample_everything(self, rig: Rig) -> None:
+        sample = ImuSample(T0, 7, np.array([0.1, 0.2, 0.3]), np.array([0.0, 0.0, 9.81]))
+        rig.exchange.record_sensor_event(sample)
+        rig.exchange.record_sensor_event(SCAN)
+        (kept,) = rig.recorded(channels.IMU)
+        assert isinstance(kept, ImuSample)
+        np.testing.assert_array_equal(kept.gyro_imu, sample.gyro_imu)
+        (summary,) = rig.recorded(channels.LIDAR_FRAMES)
+        assert isinstance(summary, FrameSummary)
+        assert (summary.sequence, summary.points, summary.packets_expected) == (3, 2, 208)
 
     def test_of_counters_all_numbers_are_kept_under_their_source(self, rig: Rig) -> None:
         @dataclass(frozen=True, slots=True)

@@ -3,6 +3,7 @@
 import asyncio
 import os
 import signal
+import socket
 import threading
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -152,6 +153,27 @@ class TestFlying:
             asyncio.run(bench.run())
         assert bench.story[-2:] == ["LiDAR stops", "link stops"]
 
+    def test_a_thread_that_breaks_ends_the_run_and_is_seen(self, bench: Bench) -> None:
+        async def sense() -> None:
+            bench.estimator.error = ZeroDivisionError("broken")
+            t_ns = bench.clock.now_ns()
+            bench.sense(ImuSample(t_ns, t_ns, np.zeros(3), np.zeros(3)))
+            await asyncio.Event().wait()
+
+        with pytest.raises(ZeroDivisionError, match="broken"):
+            asyncio.run(bench.run(sense()))
+        assert bench.service.stop.reason == "internal error"
+        assert bench.story[-2:] == ["LiDAR stops", "link stops"]
+
+    def test_a_callback_that_breaks_ends_the_run_and_is_seen(self, bench: Bench) -> None:
+        async def break_down() -> None:
+            asyncio.get_running_loop().call_soon(lambda: 1 // 0)
+            await asyncio.Event().wait()
+
+        with pytest.raises(ZeroDivisionError):
+            asyncio.run(bench.run(break_down()))
+        assert bench.service.stop.reason == "internal error"
+
 
 class TestStoppingInTheAir:
     def ticks_after_the_stop(self, bench: Bench, braking_s: float) -> FloatArray:
@@ -205,6 +227,23 @@ class TestRequests:
         assert self.ask(bench, "release") == {"ok": True, "state": "starting"}
         (kept,) = bench.recorded(channels.AUTHORISATION)
         assert getattr(kept, "granted", None) is False
+
+    @pytest.mark.parametrize("payload", [b"", b"nonsense", b"{}\n", b"x" * 10_000, b'{"verb": "status"}\n'])
+    def test_a_client_that_leaves_without_listening_does_not_disturb_the_flight(
+        self, bench: Bench, payload: bytes
+    ) -> None:
+        def leave() -> None:
+            with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as client:
+                client.connect(str(bench.control_socket))
+                client.sendall(payload)
+
+        async def act() -> None:
+            for _ in range(5):
+                await asyncio.to_thread(leave)
+            answer = await asyncio.to_thread(ask, bench.control_socket, {"verb": "status"})
+            assert answer["ok"] is True
+
+        assert asyncio.run(bench.run(act())).reason == "enough"
 
 
 class TestOutbox:

@@ -151,7 +151,6 @@ def test_what_never_started_leaves_nothing_behind(tmp_path: Path, profile: Path)
     assert [path.name for path in tmp_path.iterdir()] == ["uav1.yaml"]
 
 
-@pytest.mark.xdist_group("sockets")
 def test_a_flight_whose_ground_station_finds_its_address_taken_says_so(tmp_path: Path) -> None:
     path = write_scenario(tmp_path, world={"primitives": [{"shape": "ground"}]})
     stage = set_stage(load_scenario(path), tmp_path, None)

@@ -27,8 +27,6 @@ from tests.sitl.short_flight import write_scenario
 URL = "udpin://127.0.0.1:14540"
 TRUTH = ("127.0.0.1", 19410)
 
-pytestmark = pytest.mark.xdist_group("sockets")
-
 
 @dataclass
 class StandIn:

@@ -20,8 +20,6 @@ from tests.sitl.short_flight import write_scenario
 
 _STEP_LIMIT_S = 60.0
 
-pytestmark = pytest.mark.xdist_group("sockets")
-
 
 @asynccontextmanager
 async def flight_in_the_air(folder: Path) -> AsyncIterator[WireFlight]:

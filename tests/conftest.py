@@ -1,0 +1,26 @@
+"""What all tests share."""
+
+import pytest
+
+# These use the sensor's and the autopilot's fixed ports, or measure real time, so two of them must not run
+# at once.
+_ONE_AT_A_TIME = frozenset(
+    {
+        "test_companion_process",
+        "test_livox_driver",
+        "test_livox_sdk",
+        "test_mavlink_sockets",
+        "test_preflight_emulated",
+        "test_px4_flight",
+        "test_px4_link",
+        "test_wire",
+    }
+)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Keep the tests on real sockets in one process when several share the work."""
+    for item in items:
+        if item.path.stem in _ONE_AT_A_TIME:
+            item.add_marker(pytest.mark.xdist_group("sockets"))
