@@ -149,14 +149,15 @@ def test_a_vehicle_that_is_ready_is_a_go_and_nothing_on_it_is_changed(profile: P
 
 
 @pytest.mark.usefixtures("in_this_process")
-def test_without_a_lidar_it_is_a_no_go_that_names_address_and_stage(
+def test_without_a_lidar_and_with_a_px4_set_up_for_gnss_every_reason_of_the_no_go_is_named(
     profile: Path, port: int, capsys: Output
 ) -> None:
-    with a_px4(port, GNSS_DENIED):
+    with a_px4(port, {}):
         assert main(["check", str(profile), "--json"]) == ExitCode.NO_GO
     checks = checked(capsys.readouterr().out)
-    assert named(checks, "fail") == {"LiDAR"}
+    assert named(checks, "fail") == {"LiDAR", *(f"parameter {name}" for name in GNSS_DENIED)}
     assert f"no answer to discovery from {LIDAR_IP}" in checks["LiDAR"]["reason"]
+    assert "EKF2_EV_CTRL is 0, wanted 11 or 15" in checks["parameter EKF2_EV_CTRL"]["reason"]
     assert checks["autopilot"]["verdict"] == "ok"
 
 
@@ -170,13 +171,3 @@ def test_without_an_autopilot_it_is_a_no_go_that_names_the_link(
     assert named(checks, "fail") == {"autopilot"}
     assert checks["autopilot"]["reason"] == f"autopilot: system id 1 is silent on udpin://127.0.0.1:{port}"
     assert checks["LiDAR"]["verdict"] == "ok"
-
-
-@pytest.mark.usefixtures("in_this_process")
-def test_a_px4_set_up_for_gnss_is_a_no_go_with_every_parameter_in_the_table(
-    profile: Path, port: int, capsys: Output
-) -> None:
-    with a_lidar(), a_px4(port, {}):
-        assert main(["check", str(profile), "--json"]) == ExitCode.NO_GO
-        failed = named(checked(capsys.readouterr().out), "fail")
-    assert failed == {f"parameter {name}" for name in GNSS_DENIED}
