@@ -12,7 +12,7 @@ from collections.abc import Iterable
 
 import structlog
 
-from companion.clock import SystemClock
+from companion.clock import SystemClock, seconds_to_ns
 from companion.drivers.livox_protocol import BROADCAST_IP
 from companion.messages import Datagram
 from sitl.livox_emulator import LivoxEmulator
@@ -23,6 +23,8 @@ MAX_DATAGRAM_SIZE = 2048
 MAX_QUEUED = 100_000
 _SENDING_PERIOD_S = 0.001
 _IDLE_PERIOD_S = 0.02
+# After a packet more are expected, perhaps late ones that are due at once.
+_BUSY_NS = seconds_to_ns(0.2)
 
 _log = structlog.get_logger(__name__)
 
@@ -138,8 +140,10 @@ class LivoxSockets:
         return count
 
     def _serve(self, selector: selectors.DefaultSelector) -> None:
+        busy_until_ns = 0
         while not self._stopping.is_set():
-            ready = selector.select(_SENDING_PERIOD_S if self._queue else _IDLE_PERIOD_S)
+            busy = self._clock.now_ns() < busy_until_ns
+            ready = selector.select(_SENDING_PERIOD_S if busy else _IDLE_PERIOD_S)
             for key, _ in ready:
                 if isinstance(key.fileobj, socket.socket):
                     self._receive(key.fileobj, key.data)
@@ -148,6 +152,8 @@ class LivoxSockets:
                 due = self._emulator.poll(t_ns)
                 while self._queue and self._queue[0][0] <= t_ns:
                     due.append(heapq.heappop(self._queue)[2])
+                if due or self._queue:
+                    busy_until_ns = t_ns + _BUSY_NS
             for datagram in due:
                 self._send_now(datagram)
 
