@@ -46,6 +46,7 @@ def conclude(body: Callable[[], tuple[Result, ExitCode]], as_json: bool) -> None
         result, code = body()
     except KeyboardInterrupt:
         result, code = {"error": "interrupted"}, ExitCode.INTERRUPTED
+        print("interrupted; what was recorded so far is kept", file=sys.stderr)
     except (CompanionError, OSError) as error:
         code = _code_of(error)
         result = {"error": _one_line(error)}
@@ -82,4 +83,7 @@ def _code_of(error: Exception) -> ExitCode:
 
 
 def _one_line(error: BaseException) -> str:
-    return " ".join(str(error).split())
+    text = str(error)
+    if isinstance(error, OSError) and error.filename is not None and error.strerror:
+        text = f"{error.filename}: {error.strerror.lower()}"
+    return " ".join(text.split())

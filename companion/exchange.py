@@ -1,7 +1,7 @@
 """Carries values between the pipeline, the autopilot session and the log; the same in flight and in lockstep.
 
 Every method takes what happened and returns the MAVLink messages to send because of it. Control events are
-recorded in the order in which the pipeline handles them, which is what a replay needs.
+recorded in the order in which the pipeline handles them.
 """
 
 from collections.abc import Iterable, Sequence
@@ -56,6 +56,18 @@ class Exchange:
         values = {name: getattr(counters, name) for name in getattr(counters, "__slots__", ())}
         numbers = {name: value for name, value in values.items() if isinstance(value, (int, float))}
         self._log.record(Statistics(t_ns, source, numbers), t_ns)
+
+    def record_link(self, t_ns: int) -> None:
+        """Keep how the link to the autopilot fares; counts by name are summed."""
+        statistics = self._session.statistics(t_ns)
+        values: dict[str, int | float] = {}
+        for name in statistics.__slots__:
+            value = getattr(statistics, name)
+            if isinstance(value, dict):
+                values[name] = sum(value.values())
+            elif value is not None:
+                values[name] = int(value)
+        self._log.record(Statistics(t_ns, "mavlink", values), t_ns)
 
     def record_sent(self, messages: Iterable[MavlinkMessage], t_ns: int) -> None:
         """Keep what has really left for the autopilot, with the time at which it did."""
@@ -117,6 +129,10 @@ class Exchange:
                 case StatusText():
                     self._log.record(output, t_ns)
                     messages.extend(self._session.status_text(output))
-                case StateChange() | PlanUpdate():
+                case StateChange():
+                    # Whatever was asked for belongs to the state that has ended.
+                    self._session.withdraw_mode_request()
+                    self._log.record(output, t_ns)
+                case PlanUpdate():
                     self._log.record(output, t_ns)
         return messages

@@ -176,7 +176,7 @@ class VehicleState:
         t_ns: host time of this summary.
         connected: a heartbeat of the configured system arrived within 3 s.
         failsafe: the autopilot reports a critical state.
-        t_local_ns: host time of the newest local position, 0 if none yet.
+        t_local_ns: host time of the newest local position or attitude, whichever is older; 0 without one.
         p_map, v_map, q_map_body: the autopilot's own estimate turned into map axes.
         estimator_reset_counter: the autopilot's count of its estimate's jumps.
         mode_changes: number of mode changes seen since connecting.

@@ -1,4 +1,4 @@
-"""From sensor events to an approved velocity setpoint: one pure core for flight, emulation and replay.
+"""From sensor events to an approved velocity setpoint: one pure core for flight and emulation.
 
 Events carry their own time; nothing here reads a clock, a socket or a file. `perceive` is the heavy
 half (odometry) and may run in a worker thread; `decide` is the light half and runs where setpoints are
@@ -6,6 +6,7 @@ sent. `handle` does both, for callers without threads.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
@@ -43,6 +44,7 @@ _STREAM_BEFORE_ENGAGE_NS = seconds_to_ns(0.5)
 _REPEAT_REQUEST_NS = seconds_to_ns(1.0)
 _BRAKE_BEFORE_STOP_NS = seconds_to_ns(1.0)
 _STALL_NS = seconds_to_ns(0.5)
+_GRANT_LIFETIME_NS = seconds_to_ns(0.5)
 
 _SEVERITY = {
     FlightState.LOST: Severity.CRITICAL,
@@ -123,6 +125,7 @@ class Pipeline:
         self._entered_ns = 0
         self._requested_ns = 0
         self._mode_at_engaging = VehicleMode.UNKNOWN
+        self._switch_armed = False
         self._stop_ns: int | None = None
         self._ticked_ns: int | None = None
 
@@ -179,6 +182,7 @@ class Pipeline:
     def _authorise(self, event: Authorisation) -> list[Output]:
         if not event.granted:
             self._revoked = True
+            self._grant = None
             return []
         refusal = self.refusal(event)
         if refusal:
@@ -193,6 +197,7 @@ class Pipeline:
         return self._checks.facts(
             self._odometry,
             self._vehicle,
+            self._t_scan_ns,
             t_ns,
             authorised=authorised,
             revoked=self._revoked,
@@ -204,13 +209,12 @@ class Pipeline:
         )
 
     def _tick(self, t_ns: int) -> list[Output]:
-        switched = (
-            self.state is FlightState.READY
-            and "mode_switch" in self._sources
-            and self._vehicle is not None
-            and self._vehicle.mode is VehicleMode.OFFBOARD
-        )
-        facts = self._facts(t_ns, authorised=self._grant is not None or switched)
+        self._checks.observe(self._odometry, self._vehicle, self._t_scan_ns, t_ns)
+        # A permission is for now: one that waited, in a queue or through a stall, is none.
+        fresh = self._grant is not None and t_ns - self._grant.t_ns <= _GRANT_LIFETIME_NS
+        facts = self._facts(t_ns, authorised=False)
+        granted = (fresh or self._switched(facts)) and not facts.stalled
+        facts = replace(facts, authorised=granted)
         self._ticked_ns = t_ns
         outputs = self._step(facts, t_ns)
         self._grant = None
@@ -219,6 +223,16 @@ class Pipeline:
         if self._streams() and self._odometry is not None:
             outputs.extend(self._setpoint(self._odometry, facts, t_ns))
         return outputs
+
+    def _switched(self, facts: Facts) -> bool:
+        """Whether the pilot has just selected OFFBOARD: the change counts, not the mode."""
+        if self.state is not FlightState.READY or "mode_switch" not in self._sources:
+            self._switch_armed = False
+            return False
+        if facts.mode is not VehicleMode.OFFBOARD:
+            self._switch_armed = facts.mode is not VehicleMode.UNKNOWN
+            return False
+        return self._switch_armed
 
     def _step(self, facts: Facts, t_ns: int) -> list[Output]:
         previous = self.state
@@ -231,7 +245,6 @@ class Pipeline:
         if current is FlightState.ENGAGING and self._odometry is not None:
             self._mode_at_engaging = facts.mode
             self._finished = False
-            self._checks.adopt_map(self._odometry)
             self._role.reset(self._odometry)
             self._limiter.restart(np.zeros(3))
         reason = transition.reason.format(problem=facts.problem)
@@ -253,7 +266,7 @@ class Pipeline:
         wanted: VehicleMode | None = None
         if self.state is FlightState.ENGAGING and t_ns - self._entered_ns >= _STREAM_BEFORE_ENGAGE_NS:
             wanted = VehicleMode.OFFBOARD
-        elif self.state is FlightState.LANDING:
+        elif self.state is FlightState.LANDING and facts.mode is VehicleMode.OFFBOARD:
             wanted = VehicleMode.LAND
         if wanted is None or facts.mode is wanted or t_ns - self._requested_ns < _REPEAT_REQUEST_NS:
             return []
@@ -264,12 +277,13 @@ class Pipeline:
         outputs: list[Output] = []
         v_wanted_map, yaw_rate, reason = np.zeros(3), 0.0, f"hold: {self.state.value}"
         if self.state is FlightState.ACTIVE and facts.odometry_usable and self._stop_ns is None:
-            decision = self._role.decide(odometry, t_ns)
-            v_wanted_map, yaw_rate = decision.command.v_map, decision.command.yaw_rate
-            reason = "role"
-            if decision.plan is not None:
-                outputs.append(decision.plan)
-            self._finished = self._finished or decision.finished
+            decision = self._decision(odometry, t_ns, outputs)
+            if decision is not None:
+                v_wanted_map, yaw_rate = decision.command.v_map, decision.command.yaw_rate
+                reason = "role"
+                if decision.plan is not None:
+                    outputs.append(decision.plan)
+                self._finished = self._finished or decision.finished
         v_map = self._limiter.limit(v_wanted_map, float(odometry.p_map[2]), t_ns)
         # Braking rests on the decision to brake, not on old sensor data: its data are as new as the tick.
         t_data_ns = odometry.t_ns if reason == "role" else t_ns
@@ -284,6 +298,15 @@ class Pipeline:
             )
         )
         return outputs
+
+    def _decision(self, odometry: Odometry, t_ns: int, outputs: list[Output]) -> RoleDecision | None:
+        """Ask the role; one that breaks has flown for the last time, and the vehicle brakes."""
+        try:
+            return self._role.decide(odometry, t_ns)
+        except Exception as error:
+            self.request_stop(t_ns)
+            outputs.append(_text(t_ns, Severity.CRITICAL, f"role failed: {error!r}"))
+            return None
 
 
 def _text(t_ns: int, severity: Severity, text: str) -> StatusText:

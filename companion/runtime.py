@@ -34,8 +34,9 @@ _log = structlog.get_logger(__name__)
 _START_TIMEOUT_S = 20.0
 _STATISTICS_PERIOD_NS = seconds_to_ns(1.0)
 _MAX_STOP_NS = seconds_to_ns(3.0)
-# An outgoing message that waited longer than this is dropped: late is worse than never.
-_MAX_OUTBOX_AGE_NS = seconds_to_ns(0.2)
+# An outgoing message that waited longer than this is dropped: late is worse than never. What has to
+# arrive is repeated by the session.
+_MAX_OUTBOX_AGE_NS = seconds_to_ns(0.04)
 _OUTBOX_SIZE = 256
 _PARTS = ("decision", "perception", "sending")
 
@@ -103,6 +104,7 @@ class Flight:
             asyncio.create_task(self._send_forever(), name="sending"),
             asyncio.create_task(self._service.keep_watchdog(self._clock), name="watchdog"),
         ]
+        tasks[-1].add_done_callback(self._on_watchdog_end)
         self._service.ready()
         _log.info("ready")
         stop = asyncio.create_task(self._service.stop.wait(), name="stop")
@@ -204,6 +206,11 @@ class Flight:
         else:
             self._fail(error)
 
+    def _on_watchdog_end(self, task: asyncio.Task[None]) -> None:
+        error = None if task.cancelled() else task.exception()
+        if error is not None:
+            self._fail(error)
+
     def _fail(self, error: BaseException) -> None:
         if self._failure is None:
             self._failure = error
@@ -236,6 +243,7 @@ class Flight:
         state = self._exchange.state
         self._service.status(state.value)
         self._exchange.record_counters("lidar", self._lidar.statistics(), t_ns)
+        self._exchange.record_link(t_ns)
         self._exchange.record_counters("runtime", Backlog(self._perception.dropped, self._dropped), t_ns)
         self._flight_log.record(self._flight_log.status().statistics(t_ns), t_ns)
 

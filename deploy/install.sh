@@ -37,9 +37,10 @@ echo "== program in $prefix"
 install -d -m 0755 "$prefix" "$prefix/deploy"
 [ -x "$prefix/venv/bin/python" ] || "$python" -m venv "$prefix/venv"
 "$prefix/venv/bin/pip" install --quiet --upgrade pip
-"$prefix/venv/bin/pip" install --quiet --upgrade "$source[report]"
+"$prefix/venv/bin/pip" install --quiet --upgrade -c "$source/constraints.txt" "$source[report]"
 # The version number alone does not tell pip that the source has changed.
 "$prefix/venv/bin/pip" install --quiet --force-reinstall --no-deps "$source"
+ln -sf "$prefix/venv/bin/companion" /usr/local/bin/companion
 install -m 0644 "$source/deploy/network.md" "$prefix/deploy/network.md"
 
 echo "== profiles in $configuration"

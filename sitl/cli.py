@@ -1,5 +1,6 @@
 """The `sitl` command: simulated flights."""
 
+import signal
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -82,11 +83,15 @@ def run_scenario(
         from sitl.outcome import evaluate
         from sitl.scenario import load_scenario
 
+        if wire and px4 is not None:
+            raise typer.BadParameter("--wire and --px4 exclude each other: both fly in real time")
+
         wanted = load_scenario(scenario)
         out.mkdir(parents=True, exist_ok=True)
         log = out / LOG_NAME
-        for leftover in (log, log.with_name(f"{LOG_NAME}.open")):
-            leftover.unlink(missing_ok=True)
+        for older in (log, log.with_name(f"{LOG_NAME}.open")):
+            if older.exists():
+                older.replace(older.with_name(f"previous-{older.name}"))
         if px4 is not None:
             from sitl.px4_flight import fly_px4
 
@@ -135,6 +140,8 @@ def _lockstep(stage: "Stage", log: Path) -> "Ending":
     from sitl.lockstep import fly_lockstep
 
     load_kernels()
+    # Like Ctrl-C: the log is closed in order.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     return fly_lockstep(stage, log, _show)
 
 

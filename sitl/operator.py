@@ -97,6 +97,14 @@ class Operator:
         self._acknowledged: int | None = None
         self._echoed: tuple[str, bytes] | None = None
 
+    def follow(self, script: list[Step]) -> None:
+        """Drop the present script, finished or not, and begin another one."""
+        self._script = list(script)
+        self._index = 0
+        self._t_step_ns = self._t_acting_ns = None
+        self.status = ScriptStatus.RUNNING if script else ScriptStatus.DONE
+        self.reason = script[0].name if script else ""
+
     def receive(self, data: bytes, t_ns: int) -> None:
         """Take bytes from the link; what is not understood is skipped."""
         for frame in self._cutter.feed(data):

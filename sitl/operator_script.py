@@ -162,6 +162,14 @@ def takeoff(takeoff_height_m: float) -> list[Step]:
     ]
 
 
+def land_now() -> list[Step]:
+    """Return the way down from wherever the vehicle is."""
+    return [
+        Step(connected, SelectMode(VehicleMode.LAND), "land", timeout_s=5.0),
+        Step(landed_and_disarmed, Look(), "landed", timeout_s=30.0),
+    ]
+
+
 def takeoff_and_authorise(
     takeoff_height_m: float, authorise_after_s: float, takeover_after_s: float | None = None
 ) -> list[Step]:

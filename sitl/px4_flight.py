@@ -26,7 +26,7 @@ from sitl.kinematics import Kinematics
 from sitl.livox_sockets import LivoxSockets
 from sitl.network import Network
 from sitl.operator import Operator, ScriptStatus
-from sitl.operator_script import takeoff
+from sitl.operator_script import land_now, takeoff
 from sitl.outcome import Ending
 from sitl.px4_parameters import ParameterVisit
 from sitl.px4_truth import Px4Truth, Px4TruthSettings
@@ -87,8 +87,12 @@ class Px4Flight:
         await self.companion.start()
 
     async def close(self) -> None:
-        """End the companion, then the emulated sensor."""
+        """End the companion, land what still flies, then end the emulated sensor."""
         await self.companion.stop()
+        if self.operator.view.armed:
+            self.operator.follow(land_now())
+            while self.operator.status is ScriptStatus.RUNNING:
+                await self.advance()
         self._lidar.stop()
         self.ground.close()
 
@@ -135,7 +139,7 @@ class Px4Flight:
 
     async def _engage_when_due(self) -> None:
         """Authorise on the companion's own computer, once the vehicle has hovered for a while."""
-        if self.engaged or self.operator.status is not ScriptStatus.DONE:
+        if self.engaged or not self.companion.running or self.operator.status is not ScriptStatus.DONE:
             return
         if self._next_engage_ns is None:
             self._next_engage_ns = self._t_ns + seconds_to_ns(self._stage.scenario.operator.authorise_after_s)

@@ -82,6 +82,7 @@ class SteppedCompanion:
         if t_ns >= self._next_statistics_ns:
             self._next_statistics_ns = t_ns + _STATISTICS_PERIOD_NS
             self._exchange.record_counters("lidar", self._receiver.statistics(), t_ns)
+            self._exchange.record_link(t_ns)
         return datagrams, self._send(messages, t_ns)
 
     def _send(self, messages: list[MavlinkMessage], t_ns: int) -> list[bytes]:

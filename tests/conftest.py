@@ -18,9 +18,8 @@ _ONE_AT_A_TIME = frozenset(
 )
 
 
-@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Keep the tests on real sockets in one process when several share the work."""
+    """Mark the tests on real sockets, so that the others can share the processor's cores."""
     for item in items:
         if item.path.stem in _ONE_AT_A_TIME:
-            item.add_marker(pytest.mark.xdist_group("sockets"))
+            item.add_marker(pytest.mark.sockets)

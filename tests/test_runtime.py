@@ -123,7 +123,7 @@ class TestFlying:
 
         asyncio.run(bench.run(wait()))
         kept = [entry for entry in bench.recorded(channels.STATISTICS) if isinstance(entry, Statistics)]
-        assert {entry.source for entry in kept} == {"lidar", "runtime", "log"}
+        assert {entry.source for entry in kept} == {"lidar", "mavlink", "runtime", "log"}
         times = [entry.t_ns for entry in kept if entry.source == "lidar"]
         assert set(np.diff(times)) == {SECOND_NS}
         assert kept[0].values["packets"] == 17

@@ -79,6 +79,7 @@ class Px4Vehicle:
         self._failsafe = False
         self._landed = LandedState.UNKNOWN
         self._t_local_ns = 0
+        self._t_attitude_ns = 0
         self._p_map = np.zeros(3)
         self._v_map = np.zeros(3)
         self._q_map_body = rotation.IDENTITY.copy()
@@ -123,7 +124,7 @@ class Px4Vehicle:
             mode=self.mode,
             landed=self._landed,
             failsafe=self._failsafe,
-            t_local_ns=self._t_local_ns,
+            t_local_ns=min(self._t_local_ns, self._t_attitude_ns),
             p_map=self._p_map,
             v_map=self._v_map,
             q_map_body=self._q_map_body,
@@ -161,6 +162,7 @@ class Px4Vehicle:
                 self._t_local_ns = t_ns
             case "ATTITUDE_QUATERNION":
                 self._take_attitude(reals(message, ("q1", "q2", "q3", "q4")))
+                self._t_attitude_ns = t_ns
             case "ODOMETRY":
                 variance = first_or_nan(message, "pose_covariance")
                 self._reset_counter = integer(message, "reset_counter", 0, 0xFF)

@@ -225,7 +225,9 @@ def _health(data: FlightData) -> Plot | None:
     if not len(data.odometry):
         return None
     t = data.odometry["t"]
-    sigma = _line("position sigma", t, data.odometry["sigma"], style.AXES[2], yaxis="y2", width=1.2)
+    # Before the start the estimate knows nothing, and says so with a sigma of a kilometre.
+    known = np.where(data.odometry["quality"] > 0, data.odometry["sigma"], np.nan)
+    sigma = _line("position sigma", t, known, style.AXES[2], yaxis="y2", width=1.2)
     figure = _timed(data, [_line("quality", t, data.odometry["quality"], style.ESTIMATE), sigma], "quality")
     figure["layout"]["yaxis"]["range"] = [0, 105]
     figure["layout"]["yaxis2"] = style.second_axis("sigma, m")
@@ -302,4 +304,6 @@ def _clock(data: FlightData) -> Plot | None:
     first = float(offset[finite][0])
     trace = _line("offset", table["t"], offset - first, style.AUTOPILOT)
     caption = f"Host time minus LiDAR time, relative to its first value of {first:.3f} ms. A slope is drift."
-    return Plot("clock", "Clock offset", caption, _timed(data, [trace], "ms", showlegend=False))
+    figure = _timed(data, [trace], "ms", showlegend=False)
+    figure["layout"]["yaxis"]["exponentformat"] = "none"
+    return Plot("clock", "Clock offset", caption, figure)

@@ -33,7 +33,7 @@ class LogSettings(Settings):
     """What is recorded, and how much memory and disk it may take."""
 
     raw_lidar: bool = True
-    """Record every LiDAR datagram (about 3 MB/s), which is what replay needs."""
+    """Record every LiDAR datagram (about 3 MB/s), from which everything else can be computed again."""
     clouds: bool = True
     """Record thinned registered clouds for viewing and reports."""
     imu: bool = False

@@ -32,6 +32,9 @@ class SafetySettings(Settings):
     max_data_age_ms: float = Field(default=200.0, ge=50.0, le=200.0)
     """Sensor data older than this moves nothing: the vehicle brakes and holds."""
 
+    max_scan_age_ms: float = Field(default=400.0, ge=200.0, le=1000.0)
+    """Without a matched scan for longer than this the vehicle is blind: it brakes and holds."""
+
     lost_after_ms: float = Field(default=1000.0, ge=200.0, le=2000.0)
     """After holding this long without usable odometry the stream ends, so that PX4's failsafe acts."""
 

@@ -35,7 +35,8 @@ def _lost_offboard(facts: Facts) -> bool:
 
 
 def _may_engage(facts: Facts) -> bool:
-    return facts.authorised and facts.armed and facts.airborne and facts.healthy and not facts.failsafe
+    flying = facts.armed and facts.airborne and not facts.failsafe
+    return facts.authorised and flying and facts.healthy and not facts.map_jumped
 
 
 _GROUNDED = Transition(lambda f: f.link and f.on_ground, FlightState.STANDBY, "on the ground, disarmed")
@@ -58,11 +59,13 @@ TRANSITIONS: dict[FlightState, tuple[Transition, ...]] = {
             FlightState.LISTENING,
             "in the air before it was ready",
         ),
-        Transition(lambda f: f.healthy, FlightState.STANDBY, "odometry and autopilot ready"),
+        Transition(lambda f: f.healthy and f.standing, FlightState.STANDBY, "odometry and autopilot ready"),
     ),
     FlightState.STANDBY: (
         _STOPPED,
-        Transition(lambda f: not (f.link and f.odometry_usable), FlightState.STARTING, "{problem}"),
+        Transition(
+            lambda f: f.standing and not (f.link and f.odometry_usable), FlightState.STARTING, "{problem}"
+        ),
         Transition(
             lambda f: f.armed and f.airborne and f.healthy,
             FlightState.READY,
@@ -116,6 +119,7 @@ TRANSITIONS: dict[FlightState, tuple[Transition, ...]] = {
         Transition(lambda f: f.link and f.on_ground, FlightState.DONE, "landed and disarmed"),
         _STOPPED,
         _STALLED,
+        _REVOKED,
         Transition(
             # On touch-down the autopilot disarms and changes the mode by itself.
             lambda f: f.link and f.airborne and f.mode not in (VehicleMode.OFFBOARD, VehicleMode.LAND),
@@ -164,6 +168,8 @@ class Supervisor:
             return "autopilot is in failsafe"
         if not facts.healthy:
             return facts.problem or "estimates disagree"
+        if facts.map_jumped:
+            return "the map moved since take-off"
         return (
             ""
             if self.state in (FlightState.READY, FlightState.PILOT, FlightState.LISTENING, FlightState.LOST)

@@ -40,10 +40,19 @@ VEHICLE = VehicleState(
 )
 
 
-def facts(checks: Checks, odometry: Odometry | None, vehicle: VehicleState | None, t_ns: int) -> Facts:
+def facts(
+    checks: Checks,
+    odometry: Odometry | None,
+    vehicle: VehicleState | None,
+    t_ns: int,
+    t_scan_ns: int | None = None,
+) -> Facts:
+    scanned_ns = t_ns if t_scan_ns is None else t_scan_ns
+    checks.observe(odometry, vehicle, scanned_ns, t_ns)
     return checks.facts(
         odometry,
         vehicle,
+        scanned_ns,
         t_ns,
         authorised=False,
         revoked=False,
@@ -63,6 +72,7 @@ def test_fresh_odometry_and_a_live_link_are_healthy() -> None:
     ("change", "word"),
     [
         ({"t_ns": NOW_NS - 201_000_000}, "201 ms old"),
+        ({"t_ns": NOW_NS + 51_000_000}, "51 ms in the future"),
         ({"quality": 19, "reason": "few points"}, "quality 19: few points"),
         ({"status": OdometryStatus.LOST, "reason": "diverged"}, "lost: diverged"),
         ({"status": OdometryStatus.INITIALISING}, "initialising"),
@@ -100,16 +110,36 @@ def test_a_silent_autopilot_is_no_link() -> None:
 def test_estimates_that_differ_for_half_a_second_disagree(change: dict[str, object]) -> None:
     checks = Checks(SafetySettings())
     assert facts(checks, ODOMETRY, VEHICLE, NOW_NS).estimates_agree
-    for step in range(1, 7):
+    for step in range(8):
         t_ns = NOW_NS + step * 100_000_000
         odometry = replace(ODOMETRY, t_ns=t_ns)
         vehicle = replace(VEHICLE, t_local_ns=t_ns, **change)  # type: ignore[arg-type]
         assert facts(checks, odometry, vehicle, t_ns).estimates_agree == (step < 5)
 
 
-def test_a_reset_of_the_map_is_noticed_once_a_flight_depends_on_it() -> None:
+def test_a_disagreement_is_not_forgotten_while_nothing_can_be_compared() -> None:
     checks = Checks(SafetySettings())
+    turned = replace(VEHICLE, q_map_body=rotation.from_yaw(0.5))
+    for step in range(8):
+        t_ns = NOW_NS + step * 100_000_000
+        odometry = replace(ODOMETRY, t_ns=t_ns, quality=90 if step % 2 == 0 else 1)
+        found = facts(checks, odometry, replace(turned, t_local_ns=t_ns), t_ns)
+    assert not found.estimates_agree
+
+
+def test_without_scans_the_vehicle_is_blind_however_fresh_the_inertial_odometry_is() -> None:
+    checks = Checks(SafetySettings())
+    assert facts(checks, ODOMETRY, VEHICLE, NOW_NS, NOW_NS - 390_000_000).odometry_usable
+    blind = facts(checks, ODOMETRY, VEHICLE, NOW_NS, NOW_NS - 410_000_000)
+    assert not blind.odometry_usable
+    assert blind.problem == "no scan for 410 ms"
+    assert facts(checks, ODOMETRY, VEHICLE, NOW_NS, 0).problem == "no scan yet"
+
+
+def test_a_reset_of_the_map_is_noticed_from_take_off_to_landing() -> None:
+    checks = Checks(SafetySettings())
+    standing = replace(VEHICLE, armed=False, landed=LandedState.ON_GROUND)
     moved = replace(ODOMETRY, reset_counter=1)
-    assert not facts(checks, moved, VEHICLE, NOW_NS).map_jumped
-    checks.adopt_map(ODOMETRY)
+    assert not facts(checks, ODOMETRY, standing, NOW_NS).map_jumped
     assert facts(checks, moved, VEHICLE, NOW_NS).map_jumped
+    assert not facts(checks, moved, standing, NOW_NS).map_jumped

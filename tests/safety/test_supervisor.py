@@ -14,6 +14,7 @@ TRUTHS = [
     "armed",
     "airborne",
     "failsafe",
+    "standing",
     "odometry_usable",
     "odometry_lost",
     "map_jumped",
@@ -26,7 +27,7 @@ TRUTHS = [
     "stopping",
     "stalled",
 ]
-MODES = [VehicleMode.TAKEOFF, VehicleMode.OFFBOARD, VehicleMode.LAND, VehicleMode.POSITION]
+MODES = [VehicleMode.OFFBOARD, VehicleMode.LAND, VehicleMode.POSITION]
 
 
 def situation(mode: VehicleMode = VehicleMode.OFFBOARD, **changes: bool) -> Facts:
@@ -40,7 +41,10 @@ def situation(mode: VehicleMode = VehicleMode.OFFBOARD, **changes: bool) -> Fact
 def all_situations() -> Iterator[Facts]:
     for values in itertools.product([False, True], repeat=len(TRUTHS)):
         truths = dict(zip(TRUTHS, values, strict=True))
-        if truths["odometry_usable"] and truths["odometry_lost"]:
+        impossible = (truths["odometry_usable"] and truths["odometry_lost"]) or (
+            truths["airborne"] and truths["standing"]
+        )
+        if impossible:
             continue
         for mode in MODES:
             yield Facts(mode=mode, problem="", **truths)
@@ -69,11 +73,12 @@ def test_control_is_taken_only_when_authorised_flying_and_healthy() -> None:
                 assert facts.odometry_usable
                 assert facts.estimates_agree
                 assert not facts.failsafe
+                assert not facts.map_jumped
 
 
 def test_control_ends_when_the_autopilot_leaves_offboard() -> None:
     for facts in all_situations():
-        if facts.link and facts.mode in (VehicleMode.POSITION, VehicleMode.TAKEOFF):
+        if facts.link and facts.mode is VehicleMode.POSITION:
             for state in (FlightState.ACTIVE, FlightState.HOLDING):
                 assert next_state(state, facts) in {FlightState.PILOT, FlightState.LOST}
             assert next_state(FlightState.LANDING, facts) not in {FlightState.ACTIVE, FlightState.HOLDING}
@@ -108,8 +113,13 @@ def test_being_told_to_stop_a_stall_or_losing_authorisation_ends_control() -> No
 @pytest.mark.parametrize(
     ("start", "facts", "expected"),
     [
-        (FlightState.STARTING, situation(VehicleMode.HOLD, armed=False, airborne=False), FlightState.STANDBY),
+        (
+            FlightState.STARTING,
+            situation(VehicleMode.HOLD, armed=False, airborne=False, standing=True),
+            FlightState.STANDBY,
+        ),
         (FlightState.STARTING, situation(VehicleMode.OFFBOARD), FlightState.LISTENING),
+        (FlightState.STARTING, situation(airborne=False, armed=False), FlightState.STARTING),
         (FlightState.STANDBY, situation(VehicleMode.TAKEOFF), FlightState.READY),
         (FlightState.READY, situation(VehicleMode.TAKEOFF), FlightState.READY),
         (FlightState.READY, situation(VehicleMode.TAKEOFF, authorised=True), FlightState.ENGAGING),
