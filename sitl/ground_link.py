@@ -32,7 +32,8 @@ class GroundLink(asyncio.DatagramProtocol):
             self._transport, _ = await loop.create_datagram_endpoint(lambda: self, local_addr=address)
         except OSError as error:
             raise StartError(
-                f"ground station: cannot listen on {address[0]}:{address[1]}: {error.strerror}"
+                f"ground station: cannot listen on {address[0]}:{address[1]}: {error.strerror}; "
+                "is another ground station program running?"
             ) from None
 
     def close(self) -> None:

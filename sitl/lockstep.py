@@ -1,5 +1,6 @@
 """A flight step by step: no sockets, no threads, no real time, the same bytes, the same result each time."""
 
+import gc
 from collections.abc import Callable
 from pathlib import Path
 
@@ -114,6 +115,8 @@ def fly_lockstep(stage: Stage, log_path: Path, on_progress: Progress | None = No
     log = FlightLog(log_path, stage.profile.log, metadata, threaded=False)
     try:
         lockstep = Lockstep(stage, log)
+        gc.collect()
+        gc.freeze()  # nothing built so far ever becomes garbage during the flight
         referee = lockstep.referee
         next_progress_ns = BOOT_NS
         while not referee.over:

@@ -10,6 +10,7 @@ import numpy as np
 import yaml
 
 from companion.clock import SystemClock, ns_to_seconds, seconds_to_ns
+from companion.config import load_profile
 from companion.control_socket import NotRunningError, ask
 from companion.errors import StartError
 from companion.geometry import rotation
@@ -184,8 +185,9 @@ async def _fly(
     await link.open(truth_address)
     flight: Px4Flight | None = None
     try:
-        await link.wait(clock, _TRUTH_TIMEOUT_NS, _SETTLED_MESSAGES)
         profile = _derived_profile(folder / scenario.profile, url, log_path.parent)
+        load_profile(profile)  # a wrong address is told before anybody waits for PX4
+        await link.wait(clock, _TRUTH_TIMEOUT_NS, _SETTLED_MESSAGES)
         scenario = scenario.model_copy(update={"profile": profile.name})
         state = truth.state_at(clock.now_ns())
         if state is None:
