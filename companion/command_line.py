@@ -5,6 +5,7 @@ the last line of the output is one JSON object either way.
 """
 
 import json
+import os
 import sys
 import traceback
 from collections.abc import Callable, Sequence
@@ -27,6 +28,9 @@ def run(app: typer.Typer, name: str, arguments: Sequence[str] | None) -> int:
         name: of the program, for its help.
         arguments: the command line without the program's name; the process's own by default.
     """
+    # Our matrices are small: linear algebra on several threads costs more than it brings, and takes the
+    # cores from those that fly. It must be said before NumPy is loaded.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         app(args=arguments, prog_name=name)
     except SystemExit as stop:
