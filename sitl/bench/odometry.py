@@ -5,8 +5,8 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from companion.clock import SystemClock
+from companion.geometry import trajectory_error
 from companion.messages import LidarScan, Odometry, RegisteredScan
-from companion.perception.odometry import trajectory_error
 from companion.perception.odometry.lio import LidarInertialOdometry
 from companion.perception.odometry.settings import OdometrySettings
 from sitl.bench.synthetic_flights import T_BODY_LIDAR, T_LIDAR_IMU, Course, field, fly, hall

@@ -3,9 +3,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from companion.geometry import rotation
+from companion.geometry import rotation, trajectory_error
 from companion.messages import ImuSample, LidarScan, OdometryStatus
-from companion.perception.odometry import trajectory_error
 from companion.perception.odometry.settings import OdometrySettings
 from tests.perception.odometry.conftest import SMALL, Outcome, errors, run
 from tests.perception.odometry.simulated_flight import (

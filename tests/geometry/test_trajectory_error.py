@@ -1,10 +1,9 @@
 import numpy as np
 import pytest
 
-from companion.geometry import rotation
+from companion.geometry import rotation, trajectory_error
 from companion.geometry.pose import Pose
 from companion.messages import FloatArray
-from companion.perception.odometry import trajectory_error
 
 
 def _path(n: int = 400) -> tuple[FloatArray, FloatArray]:

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from companion.geometry import rotation
 from companion.geometry.pose import Pose
-from companion.messages import FloatArray
+from companion.geometry.rotation import FloatArray
 
 
 @dataclass(frozen=True, slots=True)
