@@ -18,13 +18,21 @@ from companion.assembly import assemble
 from companion.clock import SystemClock, seconds_to_ns
 from companion.config import Profile
 from companion.control_socket import ControlSocket, JsonObject
+from companion.decision_schedule import DecisionSchedule
 from companion.directories import SOCKET_NAME
 from companion.drivers.livox import LivoxDriver
 from companion.drivers.px4 import Px4Link
 from companion.drivers.px4_session import Px4Session
 from companion.exchange import Exchange
 from companion.logs.writer import FlightLog
-from companion.messages import Authorisation, FlightState, MavlinkMessage, PerceptionUpdate, SensorEvent
+from companion.messages import (
+    Authorisation,
+    FlightState,
+    MavlinkMessage,
+    PerceptionUpdate,
+    RegisteredScan,
+    SensorEvent,
+)
 from companion.perception_thread import PerceptionThread
 from companion.safety.supervisor import COMMANDING
 from companion.service import Service
@@ -67,6 +75,7 @@ class Flight:
         self._service = service
         self._flight_log = log
         self._period_ns = round(1e9 / profile.autopilot.setpoint_hz)
+        self._schedule: DecisionSchedule | None = None  # while decisions are made
         pipeline = assemble(profile)
         session = Px4Session(profile.autopilot)
         self._exchange = Exchange(pipeline, session, log)
@@ -154,18 +163,21 @@ class Flight:
             await self._clock.sleep(self._period_ns)
 
     async def _decide_forever(self) -> None:
-        next_ns = self._clock.now_ns()
-        next_statistics_ns = next_ns
-        while True:
-            now_ns = self._clock.now_ns()
-            self._post(now_ns, self._exchange.tick(now_ns))
-            self._service.liveness.move("decision")
-            if now_ns >= next_statistics_ns:
-                next_statistics_ns = now_ns + _STATISTICS_PERIOD_NS
-                self._record_statistics(now_ns)
-            # Ticks that were missed are gone: a burst of late setpoints would be worse than a gap.
-            next_ns = max(next_ns + self._period_ns, self._clock.now_ns())
-            await self._clock.sleep_until(next_ns)
+        next_statistics_ns = self._clock.now_ns()
+        schedule = self._schedule = DecisionSchedule(self._period_ns, next_statistics_ns)
+        try:
+            while True:
+                now_ns = self._clock.now_ns()
+                if schedule.due(now_ns):
+                    self._post(now_ns, self._exchange.tick(now_ns))
+                    schedule.decided(self._clock.now_ns())
+                self._service.liveness.move("decision")
+                if now_ns >= next_statistics_ns:
+                    next_statistics_ns = now_ns + _STATISTICS_PERIOD_NS
+                    self._record_statistics(now_ns)
+                await self._clock.sleep_until(schedule.next_ns)
+        finally:
+            self._schedule = None
 
     async def _send_forever(self) -> None:
         while True:
@@ -226,6 +238,9 @@ class Flight:
         now_ns = self._clock.now_ns()
         for update in updates:
             self._post(now_ns, self._exchange.update(update, now_ns))
+        if self._schedule is not None and any(isinstance(update, RegisteredScan) for update in updates):
+            self._post(now_ns, self._exchange.tick(now_ns))
+            self._schedule.seen(now_ns)
 
     def _on_request(self, request: JsonObject) -> JsonObject:
         """Answer an operator on this computer."""

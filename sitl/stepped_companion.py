@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from companion.assembly import assemble
 from companion.clock import seconds_to_ns
 from companion.config import Profile
+from companion.decision_schedule import DecisionSchedule
 from companion.drivers.livox_framing import LivoxReceiver, LivoxStatistics
 from companion.drivers.livox_handshake import LivoxHandshake
 from companion.drivers.mavlink_codec import MavlinkEncoder, MavlinkParser
@@ -18,6 +19,7 @@ from companion.messages import (
     LidarScan,
     MavlinkMessage,
     PerceptionUpdate,
+    RegisteredScan,
     SensorEvent,
 )
 from companion.pipeline import Pipeline
@@ -39,8 +41,7 @@ class SteppedCompanion:
         self._encoder = MavlinkEncoder()
         self._parser = MavlinkParser()
         self._perception = PerceptionQueue(self._pipeline, perception_latency_ns)
-        self._period_ns = round(1e9 / profile.autopilot.setpoint_hz)
-        self._next_tick_ns = 0
+        self._schedule = DecisionSchedule(round(1e9 / profile.autopilot.setpoint_hz), 0)
         self._next_statistics_ns = 0
 
     @property
@@ -74,11 +75,15 @@ class SteppedCompanion:
         self._handshake.observe_data(self._receiver.t_points_ns, self._receiver.t_imu_ns)
         datagrams = self._handshake.poll(t_ns)
         messages: list[MavlinkMessage] = []
-        for update in self._perception.finished(t_ns):
+        updates = self._perception.finished(t_ns)
+        for update in updates:
             messages.extend(self._exchange.update(update, t_ns))
-        if t_ns >= self._next_tick_ns:
-            self._next_tick_ns = t_ns + self._period_ns
+        if any(isinstance(update, RegisteredScan) for update in updates):
             messages.extend(self._exchange.tick(t_ns))
+            self._schedule.seen(t_ns)
+        elif self._schedule.due(t_ns):
+            messages.extend(self._exchange.tick(t_ns))
+            self._schedule.decided(t_ns)
         if t_ns >= self._next_statistics_ns:
             self._next_statistics_ns = t_ns + _STATISTICS_PERIOD_NS
             self._exchange.record_counters("lidar", self._receiver.statistics(), t_ns)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from companion import runtime
@@ -24,10 +25,12 @@ from companion.logs.writer import FlightLog, LogSettings
 from companion.messages import (
     ControlEvent,
     FlightState,
+    LidarScan,
     MavlinkMessage,
     OdometryStatus,
     Output,
     PerceptionUpdate,
+    RegisteredScan,
     SensorEvent,
 )
 from companion.pipeline import Pipeline
@@ -55,8 +58,15 @@ class SteppedClock(SystemClock):
         await super().sleep(0)
 
 
+class FineSteppedClock(SteppedClock):
+    """Wakes sleepers every 6 ms, so that something can happen between two decisions."""
+
+    async def sleep(self, duration_ns: int) -> None:
+        await super().sleep(min(duration_ns, 6 * MS))
+
+
 class EchoEstimator:
-    """Turns every inertial sample into an estimate of the same time; remembers its thread."""
+    """Turns every event into an estimate of the same time; remembers its thread."""
 
     thread = ""
     error: Exception | None = None
@@ -65,6 +75,9 @@ class EchoEstimator:
         self.thread = threading.current_thread().name
         if self.error is not None:
             raise self.error
+        if isinstance(event, LidarScan):
+            nothing_seen = np.zeros((0, 3), np.float32), np.zeros(0, np.uint8)
+            return [RegisteredScan(event.t_ns, event.sequence, *nothing_seen, an_odometry(event.t_ns))]
         return [an_odometry(event.t_ns, status=OdometryStatus.INITIALISING)]
 
 
@@ -207,9 +220,9 @@ class Bench:
             assert real.now_ns() < end_ns, f"waited in vain; {self.story[-5:]}"
             await real.sleep(MS)
 
-    def recorded(self, channel: channels.Channel) -> list[object]:
+    def recorded(self, *wanted: channels.Channel) -> list[object]:
         self.log.close()
-        return [entry.message for entry in FlightRecording(self.log.path).messages(channel)]
+        return [entry.message for entry in FlightRecording(self.log.path).messages(*wanted)]
 
     def backlog(self) -> dict[str, float]:
         """Return the last count of what was given up."""

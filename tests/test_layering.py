@@ -34,6 +34,7 @@ FLOORS: tuple[frozenset[str], ...] = (
             "config",
             "command_line",
             "control_socket",
+            "decision_schedule",
             "exchange",
             "flight",
             "kernel_cache",

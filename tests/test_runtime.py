@@ -20,13 +20,15 @@ from companion.messages import (
     FlightState,
     FloatArray,
     ImuSample,
+    LidarScan,
     MavlinkMessage,
     Odometry,
+    Tick,
 )
 from companion.runtime import FlightOutcome, fly
 from companion.yaml_source import loads
 from tests.drivers.px4_peer import MS, STATION, command
-from tests.flight_bench import Bench, InControl, SteppedClock
+from tests.flight_bench import Bench, FineSteppedClock, InControl, SteppedClock
 from tests.profiles import GOOD
 
 SECOND_NS = 1_000_000_000
@@ -51,6 +53,24 @@ def question(number: int) -> MavlinkMessage:
 
 def answers(messages: Sequence[MavlinkMessage]) -> list[object]:
     return [message.fields["command"] for message in messages if message.name == "COMMAND_ACK"]
+
+
+def a_scan(t_ns: int) -> LidarScan:
+    """Return a scan without a return."""
+    none = np.zeros(0, np.uint8)
+    return LidarScan(
+        t_ns=t_ns,
+        sequence=0,
+        t_sensor_start_ns=t_ns - 100 * MS,
+        t_sensor_end_ns=t_ns,
+        clock_offset_ns=0,
+        points_lidar=np.zeros((0, 3), np.float32),
+        offsets_ns=np.zeros(0, np.int32),
+        reflectivity=none,
+        tags=none,
+        packets=0,
+        packets_expected=0,
+    )
 
 
 class TestStarting:
@@ -116,6 +136,43 @@ class TestFlying:
         ticks = [getattr(tick, "t_ns", 0) for tick in bench.recorded(channels.TICK)]
         assert set(np.diff(ticks)) == {20 * MS}
         assert bench.recorded(channels.MAVLINK_TX) == bench.sent
+
+    def test_a_registered_scan_is_decided_on_at_once_and_the_rate_goes_on_from_there(
+        self, bench: Bench
+    ) -> None:
+        bench.clock = FineSteppedClock()
+
+        async def see() -> None:
+            await bench.until(lambda: len(bench.sent) >= 1)
+            bench.sense(a_scan(bench.clock.now_ns()))
+            heartbeats = len(bench.sent)
+            await bench.until(lambda: len(bench.sent) >= heartbeats + 2)
+
+        asyncio.run(bench.run(see()))
+        journal = bench.recorded(channels.SCAN, channels.VEHICLE, channels.TICK)
+        kinds = [type(entry).__name__ for entry in journal]
+        assert kinds.count("ScanMark") == 1
+        seen = kinds.index("ScanMark")
+        assert kinds[seen : seen + 3] == ["ScanMark", "VehicleState", "Tick"]
+        ticks = [entry.t_ns for entry in journal if isinstance(entry, Tick)]
+        steps = np.diff(ticks)
+        assert steps.max() <= 26 * MS
+        answer = ticks.index(getattr(journal[seen + 2], "t_ns", 0))
+        assert 0 < steps[answer - 1] < 20 * MS
+
+    @pytest.mark.parametrize("stage", ["on_link_start", "on_lidar_start"])
+    def test_a_scan_seen_before_the_service_is_ready_is_not_decided_on(
+        self, bench: Bench, stage: str
+    ) -> None:
+        async def see() -> None:
+            bench.sense(a_scan(bench.clock.now_ns()))
+            await bench.until(lambda: bench.estimator.thread != "")
+            bench.service.stop.request("enough")
+            await asyncio.Event().wait()
+
+        setattr(bench, stage, see)
+        asyncio.run(bench.run())
+        assert bench.recorded(channels.TICK) == []
 
     def test_once_a_second_the_counters_are_kept_and_the_state_is_told(self, bench: Bench) -> None:
         async def wait() -> None:
