@@ -1,5 +1,6 @@
 """Flights of the simulated quadrotor with the simulated Mid-360, as sensor events and truth."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,11 +10,13 @@ from companion.geometry import rotation
 from companion.geometry.pose import Pose
 from companion.messages import FloatArray, ImuSample, LidarScan
 from sitl import dynamics
-from sitl.kinematics import BodyTrajectory
+from sitl.bench.courses import Course as Course
+from sitl.bench.courses import field as field
+from sitl.bench.courses import hall as hall
+from sitl.kinematics import BodyTrajectory, Kinematics
 from sitl.sensors.imu import ImuModel, ImuSettings
 from sitl.sensors.mid360 import Mid360Model, Mid360Settings
 from sitl.slots import SLOT_PERIOD_NS, SLOTS_PER_PACKET
-from sitl.worlds.primitives import Box, Cylinder, Ground, World
 
 T_BODY_LIDAR = Pose.of([0.06, 0.0, 0.08], rotation.IDENTITY)
 T_LIDAR_IMU = Pose.of([0.011, 0.02329, -0.04412], rotation.IDENTITY)
@@ -23,53 +26,20 @@ _REST_S = 2.5
 _SLOTS_PER_STEP = dynamics.STEP_NS // SLOT_PERIOD_NS
 
 
-@dataclass(frozen=True)
-class Course:
-    """An ellipse to be flown around, and the world around it."""
+@dataclass(frozen=True, slots=True, eq=False)
+class FlightStep:
+    """One step of a flight.
 
-    world: World
-    half_axes_m: tuple[float, float]
-    height_m: float
-    speed: float
-    yaw_rate: float
+    Attributes:
+        t_sensor_ns: its end.
+        truth: the body's motion then.
+        events: what the sensors reported during the step, in order of arrival; none in the first step,
+            which only tells where the flight begins.
+    """
 
-
-def field(rng: np.random.Generator, pillars: int = 50) -> Course:
-    """Return a field of pillars on a plane, free around the course."""
-    placed: list[tuple[float, float, float]] = []
-    while len(placed) < pillars:
-        x, y = rng.uniform(-25.0, 25.0, 2)
-        clear = abs(np.hypot(x, y / 0.7) - 12.0) > 2.5
-        if clear and all(np.hypot(x - other[0], y - other[1]) > 1.8 for other in placed):
-            placed.append((float(x), float(y), float(rng.uniform(0.2, 0.5))))
-    cylinders = [
-        Cylinder(
-            start_world_m=(x, y, 0.0),
-            end_world_m=(x, y, 5.0),
-            radius_m=radius,
-            reflectivity=float(rng.uniform(0.1, 0.8)),
-        )
-        for x, y, radius in placed
-    ]
-    return Course(World.of([Ground(), *cylinders]), (12.0, 8.4), 2.0, 2.5, 0.3)
-
-
-def hall() -> Course:
-    """Return a hall of 16 m x 12 m x 4.5 m with boxes in it."""
-    surfaces = [
-        ((0.0, 6.1, 2.25), (16.4, 0.2, 4.5)),
-        ((0.0, -6.1, 2.25), (16.4, 0.2, 4.5)),
-        ((8.1, 0.0, 2.25), (0.2, 12.4, 4.5)),
-        ((-8.1, 0.0, 2.25), (0.2, 12.4, 4.5)),
-        ((0.0, 0.0, 4.6), (16.4, 12.4, 0.2)),
-        ((-6.7, -4.7, 1.0), (1.5, 1.5, 2.0)),
-        ((6.2, 4.2, 0.6), (1.5, 1.5, 1.2)),
-        ((-0.1, 0.1, 0.5), (1.8, 1.7, 1.0)),
-        ((6.8, -4.8, 1.5), (2.0, 1.3, 3.0)),
-        ((-7.3, 5.0, 2.25), (0.9, 1.6, 4.5)),
-    ]
-    boxes = [Box(centre_world_m=centre, size_m=size, reflectivity=0.4) for centre, size in surfaces]
-    return Course(World.of([Ground(), *boxes]), (5.0, 3.2), 1.8, 2.0, 0.3)
+    t_sensor_ns: int
+    truth: Kinematics
+    events: tuple[ImuSample | LidarScan, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,22 +71,28 @@ class Flight:
         )
 
 
-def fly(
+def stream(
     course: Course,
     duration_s: float,
     rng: np.random.Generator,
     imu: ImuSettings | None = None,
     lidar: Mid360Settings | None = None,
-) -> Flight:
-    """Simulate one flight: rest, take-off, then rounds with a slow turn about the vertical."""
-    imu_model = ImuModel(rng, T_BODY_LIDAR, imu or ImuSettings())
+) -> Iterator[FlightStep]:
+    """Simulate one flight step by step: rest, take-off, then rounds with a slow turn about the vertical.
+
+    Args:
+        course: world and rounds.
+        duration_s: from power-on.
+        rng: of sensor noise.
+        imu: the inertial chip, the course's own by default.
+        lidar: the scanner.
+    """
+    imu_model = ImuModel(rng, T_BODY_LIDAR, imu or course.imu)
     lidar_model = Mid360Model(rng, T_BODY_LIDAR, lidar or Mid360Settings())
-    settings = dynamics.QuadrotorSettings()
     state = dynamics.at_rest(
-        np.array([[course.half_axes_m[0], 0.0, 0.0]]), np.array([0.4]), settings=settings
+        np.array([[course.half_axes_m[0], 0.0, 0.0]]), np.array([0.4]), settings=course.vehicle
     )
-    events: list[ImuSample | LidarScan] = []
-    truth: list[tuple[int, FloatArray, FloatArray, FloatArray]] = []
+    yield FlightStep(0, state.kinematics(0), ())
     pieces: list[tuple[int, FloatArray, NDArray[np.uint8], NDArray[np.uint8]]] = []
     sequence = 0
     for index in range(round(duration_s / dynamics.STEP_S)):
@@ -126,7 +102,7 @@ def fly(
             _command(course, state, index * dynamics.STEP_S),
             state.v_world,
             np.zeros((1, 3)),
-            settings=settings,
+            settings=course.vehicle,
         )
         start, end = state.kinematics(0), after.kinematics(0)
         slot = imu_model.sample(start_ns, start, end_ns, end, float(after.thrust[0]))
@@ -137,21 +113,30 @@ def fly(
             course.world,
         )
         pieces.append((start_ns, slots.points_lidar, slots.reflectivity, slots.tags))
-        truth.append((start_ns, start.p_world, start.q_world_body, start.v_world))
-        events.append(ImuSample(end_ns + CLOCK_OFFSET_NS, end_ns, slot.gyro_imu, slot.accel_imu))
+        sample = ImuSample(end_ns + CLOCK_OFFSET_NS, end_ns, slot.gyro_imu, slot.accel_imu)
+        events: tuple[ImuSample | LidarScan, ...] = (sample,)
         if end_ns % SCAN_NS == 0:
-            events.append(_cut(pieces, sequence, end_ns))
+            events = (sample, _cut(pieces, sequence, end_ns))
             pieces, sequence = [], sequence + 1
+        yield FlightStep(end_ns, end, events)
         state = after
-    end = state.kinematics(0)
-    truth.append((len(truth) * dynamics.STEP_NS, end.p_world, end.q_world_body, end.v_world))
-    times, positions, attitudes, velocities = zip(*truth, strict=True)
+
+
+def fly(
+    course: Course,
+    duration_s: float,
+    rng: np.random.Generator,
+    imu: ImuSettings | None = None,
+    lidar: Mid360Settings | None = None,
+) -> Flight:
+    """Return a whole flight at once; see `stream`."""
+    steps = list(stream(course, duration_s, rng, imu, lidar))
     return Flight(
-        events,
-        np.array(times, dtype=np.int64),
-        np.array(positions),
-        np.array(attitudes),
-        np.array(velocities),
+        [event for step in steps for event in step.events],
+        np.array([step.t_sensor_ns for step in steps], dtype=np.int64),
+        np.array([step.truth.p_world for step in steps]),
+        np.array([step.truth.q_world_body for step in steps]),
+        np.array([step.truth.v_world for step in steps]),
     )
 
 
@@ -161,13 +146,14 @@ def _command(course: Course, state: dynamics.QuadrotorState, t: float) -> dynami
     x, y, z = state.p_world[0]
     v = np.zeros(3)
     if t > _REST_S:
-        v[2] = np.clip(1.5 * (course.height_m + 0.3 * np.sin(0.7 * t) - z), -1.0, 1.5)
+        wanted = course.height_m + course.height_sway_m * np.sin(course.height_sway_rate * t)
+        v[2] = np.clip(1.5 * (wanted - z), -course.descent_max, course.climb_max)
     if t > _REST_S + 2.0:
         angle = np.arctan2(y / b, x / a)
         tangent = np.array([-a * np.sin(angle), b * np.cos(angle)])
         pull = np.array([a * np.cos(angle), b * np.sin(angle)]) - [x, y]
         v[:2] = course.speed * tangent / np.linalg.norm(tangent) + 0.8 * pull
-    yaw_rate = course.yaw_rate + 0.4 * np.sin(0.8 * t) if t > _REST_S + 2.0 else 0.0
+    yaw_rate = course.yaw_rate + course.yaw_sway * np.sin(0.8 * t) if t > _REST_S + 2.0 else 0.0
     return dynamics.QuadrotorCommand(v[None, :], np.array([yaw_rate]), np.array([t > _REST_S - 0.3]))
 
 
