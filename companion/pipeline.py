@@ -37,6 +37,7 @@ from companion.messages import (
 )
 from companion.safety.checks import Checks, Facts
 from companion.safety.limits import VelocityLimiter
+from companion.safety.pose_gate import PoseGate
 from companion.safety.settings import SafetySettings
 from companion.safety.supervisor import COMMANDING, Supervisor
 
@@ -116,6 +117,7 @@ class Pipeline:
         self._supervisor = Supervisor()
         self._checks = Checks(safety)
         self._limiter = VelocityLimiter(safety)
+        self._pose_gate = PoseGate(safety)
         self._odometry: Odometry | None = None
         self._vehicle: VehicleState | None = None
         self._t_scan_ns = 0
@@ -151,12 +153,13 @@ class Pipeline:
         """Light half: keep the newest of everything; on a tick, choose and approve a setpoint."""
         match event:
             case Odometry():
-                self._odometry = event
-                usable = event.status in (OdometryStatus.TRACKING, OdometryStatus.DEGRADED)
-                return [event] if usable else []
+                admitted = self._odometry = self._pose_gate.admit(event, self._vehicle)
+                usable = admitted.status in (OdometryStatus.TRACKING, OdometryStatus.DEGRADED)
+                return [admitted] if usable else []
             case RegisteredScan():
-                self._t_scan_ns = event.t_ns
-                self._role.observe(event)
+                if not self._pose_gate.withholds:
+                    self._t_scan_ns = event.t_ns
+                    self._role.observe(replace(event, odometry=self._pose_gate.counted(event.odometry)))
                 return []
             case VehicleState():
                 self._vehicle = event

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from companion.messages import FlightState, LandedState, ModeRequest, StateChange, VehicleMode
+from companion.messages import FlightState, LandedState, ModeRequest, Odometry, StateChange, VehicleMode
 from tests.pipeline_rig import Rig, setpoints, texts
 
 
@@ -187,3 +187,19 @@ def test_every_change_of_state_is_announced() -> None:
     change = next(output for output in outputs if isinstance(output, StateChange))
     assert (change.previous, change.current) == (FlightState.STANDBY, FlightState.READY)
     assert texts(outputs) == [f"ready: {change.reason}"]
+
+
+def test_a_pose_that_jumps_is_kept_from_px4_and_ends_the_flight_by_landing() -> None:
+    rig = Rig()
+    rig.active()
+    rig.tick(50)
+    rig.odometry = replace(rig.odometry, p_map=np.add(rig.odometry.p_map, [1.0, 0.0, 0.0]))
+    sent = rig.pipeline.decide(replace(rig.odometry, t_ns=rig.t_ns + 5_000_000))
+    braking = setpoints(rig.tick(20))
+    assert not sent
+    assert rig.pipeline.state is FlightState.LANDING
+    assert not braking[-1].v_map.any()
+    rig.tick(10)
+    (forwarded,) = rig.pipeline.decide(replace(rig.odometry, t_ns=rig.t_ns + 5_000_000))
+    assert isinstance(forwarded, Odometry)
+    assert forwarded.reset_counter == 1

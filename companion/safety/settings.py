@@ -47,5 +47,11 @@ class SafetySettings(Settings):
     max_heading_disagreement_deg: float = Field(default=15.0, gt=0.0, le=90.0)
     """Largest difference between our heading and the autopilot's: beyond it, it flies elsewhere."""
 
+    max_pose_jump_m: float = Field(default=0.3, gt=0.0, le=5.0)
+    """Largest step of the estimated position beyond what the vehicle's velocity explains."""
+
+    max_attitude_jump_deg: float = Field(default=10.0, gt=0.0, le=90.0)
+    """The same for its attitude."""
+
     engage_timeout_s: float = Field(default=3.0, ge=1.0, le=10.0)
     """How long the autopilot may take to enter OFFBOARD before the attempt is given up."""
