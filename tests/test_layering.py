@@ -40,6 +40,7 @@ FLOORS: tuple[frozenset[str], ...] = (
             "kernel_cache",
             "perception_thread",
             "preflight",
+            "recordings",
             "runtime",
             "service",
         }

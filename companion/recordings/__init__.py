@@ -1,0 +1,1 @@
+"""Recordings made by others, read as the sensor events that fly."""
