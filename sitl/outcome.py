@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from companion.clock import ns_to_seconds
+from companion.geometry.trajectory_comparison import compare
 from companion.logs import channels
 from companion.logs.reader import FlightRecording
 from companion.logs.records import StampedPose, Statistics
-from companion.logs.trajectory_comparison import compare
 from companion.messages import MavlinkMessage, Odometry, OdometryStatus, Setpoint
 
 _HASH_BLOCK = 1 << 20

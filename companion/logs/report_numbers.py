@@ -5,9 +5,9 @@ from typing import Any
 
 import numpy as np
 
+from companion.geometry.trajectory_comparison import Comparison, compare, path_length
 from companion.logs.obstacle_view import GROUND_CLEARANCE_M
 from companion.logs.report_data import FlightData, Phase, phases
-from companion.logs.trajectory_comparison import Comparison, compare, path_length
 from companion.messages import FlightState, FloatArray, OdometryStatus, VehicleMode
 
 Numbers = dict[str, Any]

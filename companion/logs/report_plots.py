@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
+from companion.geometry.trajectory_comparison import Comparison
 from companion.logs import report_style as style
 from companion.logs.report_data import FlightData
 from companion.logs.report_numbers import STREAM_GAP_LIMIT_MS, gaps_ms, latencies_ms, mode_phases
-from companion.logs.trajectory_comparison import Comparison
 from companion.messages import FloatArray
 
 Figure = dict[str, Any]

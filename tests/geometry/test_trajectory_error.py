@@ -1,5 +1,7 @@
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from companion.geometry import rotation, trajectory_error
 from companion.geometry.pose import Pose
@@ -31,6 +33,15 @@ def test_alignment_never_mirrors() -> None:
     p, _ = _path()
     T = trajectory_error.align(p * [1.0, 1.0, -1.0], p)
     assert float(np.linalg.det(rotation.to_matrix(T.q))) == pytest.approx(1.0)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_alignment_undoes_any_rigid_motion(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    p = rng.normal(size=(20, 3))
+    moved = rotation.rotate(rotation.exp(rng.normal(size=3)), p) + rng.normal(size=3) * 10.0
+    assert trajectory_error.align(p, moved).transform(p) == pytest.approx(moved, abs=1e-9)
 
 
 def test_white_noise_gives_its_own_deviation_as_absolute_error() -> None:

@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from companion.geometry import rotation
-from companion.messages import FloatArray
+from companion.geometry.rotation import FloatArray
+from companion.geometry.trajectory_error import align
 
 _POSES_MIN = 3
 _REACH_M = 1e6
@@ -70,12 +71,13 @@ def compare(
     q_map_world = rotation.normalize(rotation.multiply(q_estimate[0], rotation.conjugate(q_true)))
     laid = p_estimate[0] + rotation.rotate(q_map_world, p_true - p_true[0])
     vertical = float(np.clip(rotation.to_matrix(q_map_world)[2, 2], -1.0, 1.0))
+    aligned = align(laid, p_estimate).transform(laid)
     return Comparison(
         t=t,
         p_estimate=p_estimate,
         p_truth=laid,
         map_tilt=float(np.arccos(vertical)),
-        ape_rmse_m=float(np.sqrt(np.mean(np.sum((p_estimate - rigidly_aligned(laid, p_estimate)) ** 2, 1)))),
+        ape_rmse_m=float(np.sqrt(np.mean(np.sum((aligned - p_estimate) ** 2, axis=1)))),
         end_error_m=float(np.linalg.norm(p_estimate[-1] - laid[-1])),
         path_m=float(np.sum(np.linalg.norm(np.diff(p_true, axis=0), axis=1))),
     )
@@ -84,19 +86,6 @@ def compare(
 def _sane(p: FloatArray, q: FloatArray) -> NDArray[np.bool_]:
     """Return which poses (n,) are positions within any flight's reach and unit quaternions."""
     return np.asarray(np.all(np.abs(p) < _REACH_M, axis=1) & (np.abs(np.linalg.norm(q, axis=1) - 1.0) < 0.1))
-
-
-def rigidly_aligned(p_source: FloatArray, p_target: FloatArray) -> FloatArray:
-    """Return the points (n, 3) moved rigidly so that they fit the target (n, 3) best.
-
-    Source: S. Umeyama, "Least-squares estimation of transformation parameters between two point
-    patterns", 1991, equations 40-43 without scale.
-    """
-    source, target = p_source - p_source.mean(axis=0), p_target - p_target.mean(axis=0)
-    U, _, Vt = np.linalg.svd(target.T @ source)
-    sign = np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt)) or 1.0])
-    aligned: FloatArray = source @ (U @ sign @ Vt).T + p_target.mean(axis=0)
-    return aligned
 
 
 def path_length(p: FloatArray, step_m: float) -> float:
