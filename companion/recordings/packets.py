@@ -121,7 +121,7 @@ class PacketRecording:
         if not found:
             points, imu = self._data_ports
             raise LogError(
-                f"{self._path}: no Mid-360 data: none of {others} UDP packets comes from port {points} "
+                f"{self._path}: no data of a Mid-360: {others} packets, none of them from port {points} "
                 f"or {imu}"
             )
         if lidar_ip in found or len(found) == 1:

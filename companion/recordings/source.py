@@ -11,10 +11,12 @@ from companion.messages import SensorEvent
 from companion.recordings.capture import CaptureSource
 from companion.recordings.capture_frames import PCAP_MAGICS, PCAPNG_MAGIC
 from companion.recordings.flight_packets import FlightPackets
+from companion.recordings.lvx2 import SIGNATURE as LVX_SIGNATURE
+from companion.recordings.lvx2 import Lvx2Source
 from companion.recordings.packets import PacketRecording, PacketSource
 from companion.recordings.recording import Recording
 
-FORMATS = "PCAP, PCAPNG, flight log"
+FORMATS = "PCAP, PCAPNG, LVX2, flight log"
 
 _COMPRESSED = {
     b"\x1f\x8b": "gzip",
@@ -44,7 +46,7 @@ def open_recording(
     settings = lidar or LivoxSettings()
     with path.open("rb") as file:
         head = file.read(_HEAD_BYTES)
-    source = _packet_source(path, head)
+    source = _packet_source(path, head, settings)
     if source is not None:
         return PacketRecording(path, source, settings)
     raise LogError(f"{path}: byte 0: {_described(head)}; known formats are {FORMATS}")
@@ -60,11 +62,13 @@ def read_events(path: Path, lidar: LivoxSettings | None = None) -> Iterator[Sens
     yield from open_recording(path, lidar).events()
 
 
-def _packet_source(path: Path, head: bytes) -> PacketSource | None:
+def _packet_source(path: Path, head: bytes, lidar: LivoxSettings) -> PacketSource | None:
     if head[:4] in PCAP_MAGICS:
         return CaptureSource(path, new_generation=False)
     if head.startswith(PCAPNG_MAGIC):
         return CaptureSource(path, new_generation=True)
+    if head.startswith(LVX_SIGNATURE):
+        return Lvx2Source(path, lidar.lidar_ports)
     if head.startswith(MCAP_MAGIC) and _mcap_library(head) == LIBRARY:
         return FlightPackets(path)
     return None

@@ -150,7 +150,7 @@ def test_several_sensors_of_which_none_is_configured_are_listed(tmp_path: Path) 
 def test_a_capture_without_a_sensor_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "none.pcap"
     write_pcap(path, [Datagram(5, ("10.0.0.1", 53), ("10.0.0.2", 53), b"")])
-    with pytest.raises(LogError, match="none of 1 UDP packets comes from port 56300 or 56400"):
+    with pytest.raises(LogError, match="1 packets, none of them from port 56300 or 56400"):
         open_recording(path)
 
 
