@@ -83,6 +83,45 @@ class LidarScan:
     packets_expected: int
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class ExternalOdometry:
+    """Own motion as another process on this computer estimates it, checked and turned into our frames.
+
+    Attributes:
+        t_ns: host time of reception.
+        t_source_ns: when the state was valid, on the sender's clock.
+        clock_offset_ns: host time minus the sender's clock, as estimated now.
+        on_lidar_clock: the sender's clock is the LiDAR's own, so `t_source_ns` is sensor time.
+        session: grows by one whenever another sender, or the same one with another clock, begins.
+        p_map, q_map_body: pose of the body in the sender's frame with z up, (3,) m and (4,) (w, x, y, z).
+        v_map: velocity of the body origin, (3,) m/s; not a number when the sender states none.
+        omega_body: angular rate, (3,) rad/s; not a number when the sender states none.
+        covariance_pose: (6, 6); position in map (m^2), then rotation in body (rad^2).
+        covariance_velocity: (3, 3) in map (m^2/s^2).
+        quality: -1 failed, 0 not stated, else 1 to 100.
+        reset_counter: the sender's own, 0 to 255.
+    """
+
+    t_ns: int
+    t_source_ns: int
+    clock_offset_ns: int
+    on_lidar_clock: bool
+    session: int
+    p_map: FloatArray
+    q_map_body: FloatArray
+    v_map: FloatArray
+    omega_body: FloatArray
+    covariance_pose: FloatArray
+    covariance_velocity: FloatArray
+    quality: int
+    reset_counter: int
+
+    @property
+    def t_valid_ns(self) -> int:
+        """Host time at which the state was valid."""
+        return self.t_source_ns + self.clock_offset_ns
+
+
 class OdometryStatus(IntEnum):
     """Health of the own-motion estimate."""
 
@@ -132,6 +171,8 @@ class RegisteredScan:
         points_map: (n, 3) de-skewed points, metres.
         reflectivity: (n,) as in `LidarScan`.
         odometry: pose at the scan's end.
+        ages_ns: (n,) how long before the scan's end each point was measured; what moves by itself was
+            elsewhere then.
     """
 
     t_ns: int
@@ -139,6 +180,49 @@ class RegisteredScan:
     points_map: PointArray
     reflectivity: ByteArray
     odometry: Odometry
+    ages_ns: NDArray[np.int32]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NeighbourTrack:
+    """Another UAV as the tracker follows it.
+
+    Attributes:
+        track_id: its number; never used again for another one.
+        p_map: (3,) centre of its body at the time of `NeighbourTracks`, m.
+        v_map: (3,) m/s.
+        covariance: (6, 6) of position, then velocity, in the map.
+        t_born_ns: host time of its first observation.
+        t_seen_ns: host time of the newest scan in which it was observed.
+        points: returns of its body in that scan's stack.
+        bright_share: share of them that came from reflective tape.
+        validated: it has proved to be a UAV; others are candidates and must not be relied on.
+    """
+
+    track_id: int
+    p_map: FloatArray
+    v_map: FloatArray
+    covariance: FloatArray
+    t_born_ns: int
+    t_seen_ns: int
+    points: int
+    bright_share: float
+    validated: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NeighbourTracks:
+    """All tracks after one scan.
+
+    Attributes:
+        t_ns: host time for which positions hold: the scan's end.
+        sequence: the scan's sequence number.
+        tracks: in order of their numbers.
+    """
+
+    t_ns: int
+    sequence: int
+    tracks: tuple[NeighbourTrack, ...]
 
 
 class VehicleMode(Enum):
@@ -323,7 +407,7 @@ class PlanUpdate:
     status: str
 
 
-SensorEvent = ImuSample | LidarScan
+SensorEvent = ImuSample | LidarScan | ExternalOdometry
 PerceptionUpdate = Odometry | RegisteredScan
 ControlEvent = Odometry | RegisteredScan | VehicleState | Authorisation | Tick
 Output = Setpoint | ModeRequest | Odometry | StateChange | StatusText | PlanUpdate

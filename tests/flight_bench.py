@@ -76,8 +76,16 @@ class EchoEstimator:
         if self.error is not None:
             raise self.error
         if isinstance(event, LidarScan):
-            nothing_seen = np.zeros((0, 3), np.float32), np.zeros(0, np.uint8)
-            return [RegisteredScan(event.t_ns, event.sequence, *nothing_seen, an_odometry(event.t_ns))]
+            return [
+                RegisteredScan(
+                    t_ns=event.t_ns,
+                    sequence=event.sequence,
+                    points_map=np.zeros((0, 3), np.float32),
+                    reflectivity=np.zeros(0, np.uint8),
+                    odometry=an_odometry(event.t_ns),
+                    ages_ns=np.zeros(0, np.int32),
+                )
+            ]
         return [an_odometry(event.t_ns, status=OdometryStatus.INITIALISING)]
 
 
@@ -139,8 +147,11 @@ class Bench:
         bench = self
 
         class Link:
-            def __init__(self, settings: Any, session: Any, clock: Any, on_message: Any) -> None:
+            def __init__(
+                self, settings: Any, session: Any, clock: Any, on_message: Any, starting: Any
+            ) -> None:
                 bench.hear = on_message
+                bench.poll = starting
 
             async def start(self, timeout_s: float) -> None:
                 bench.story.append("link starts")
@@ -171,6 +182,7 @@ class Bench:
                 return LivoxStatistics(packets=17)
 
         self.hear: Callable[[MavlinkMessage, int], None]
+        self.poll: Callable[[int], list[MavlinkMessage]]
         self.sense: Callable[[SensorEvent], None]
         self.estimator = EchoEstimator()
         self.monkeypatch.setattr(runtime, "Px4Link", Link)

@@ -27,6 +27,7 @@ from companion.safety.settings import SafetySettings
 
 PERIOD_NS = 20_000_000
 NO_BYTES = np.zeros(0, np.uint8)
+NO_AGES = np.zeros(0, np.int32)
 WISH = np.array([1.0, 0.0, 0.0])
 
 
@@ -113,7 +114,9 @@ class Rig:
                 self.pipeline.decide(self.odometry)
             if self.scans_run:
                 self.pipeline.decide(
-                    RegisteredScan(self.t_ns, 0, np.zeros((0, 3), np.float32), NO_BYTES, self.odometry)
+                    RegisteredScan(
+                        self.t_ns, 0, np.zeros((0, 3), np.float32), NO_BYTES, self.odometry, NO_AGES
+                    )
                 )
             self.vehicle = replace(self.vehicle, t_ns=self.t_ns, t_local_ns=self.t_ns)
             outputs.extend(self.pipeline.decide(self.vehicle))

@@ -7,12 +7,16 @@ from companion.logs.channels import Channel
 from companion.logs.log_queue import LogEntry
 from companion.logs.metadata import FlightMetadata
 from companion.logs.records import (
+    CallName,
     CloudView,
     FrameSummary,
     PathView,
+    QueuePlace,
+    RuntimeCall,
     ScanMark,
     StampedPose,
     Statistics,
+    UnsentMessages,
 )
 from companion.messages import (
     Authorisation,
@@ -93,6 +97,7 @@ def registered_scan(t_ns: int, rng: np.random.Generator, points: int = 5000) -> 
         points_map=rng.uniform(-10.0, 10.0, size=(points, 3)).astype(np.float32),
         reflectivity=rng.integers(0, 256, size=points).astype(np.uint8),
         odometry=odometry(t_ns, rng),
+        ages_ns=np.linspace(99_980_000, 0, points).astype(np.int32),
     )
 
 
@@ -120,11 +125,14 @@ def one_of_each() -> dict[Channel, object]:
         channels.IMU: ImuSample(t_ns, 17, rng.normal(size=3), np.array([0.0, 0.0, 9.81])),
         channels.MAVLINK_RX: mavlink,
         channels.MAVLINK_TX: MavlinkMessage("HEARTBEAT", 1, 191, {}),
+        channels.MAVLINK_UNSENT: UnsentMessages(t_ns, 5000, 2),
+        channels.QUEUE_PLACE: QueuePlace(t_ns, "scan", t_ns - 1, -1),
         channels.ODOMETRY: odometry(t_ns, rng),
         channels.SCAN: ScanMark(t_ns, 9, 18_000, t_ns - 1, 1.25),
         channels.VEHICLE: vehicle_state(t_ns),
         channels.AUTHORISATION: Authorisation(t_ns, True, "ground_station"),
         channels.TICK: Tick(t_ns),
+        channels.CALL: RuntimeCall(t_ns, CallName.STOP),
         channels.SETPOINT: Setpoint(t_ns, t_ns - 1, 0, rng.normal(size=3), -0.25, "hold: odometry stale"),
         channels.MODE_REQUEST: ModeRequest(t_ns, VehicleMode.LAND),
         channels.STATE: StateChange(t_ns, FlightState.READY, FlightState.ENGAGING, "authorised"),

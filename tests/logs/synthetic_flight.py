@@ -153,7 +153,9 @@ def write_flight(path: Path, *, raw: bool = False, vehicle_name: str = METADATA.
             log.record(odometry, t_ns)
             near = points[np.linalg.norm(points[:, :2] - odometry.p_map[:2], axis=1) < 8.0]
             reflectivity = np.full(len(near), 40, dtype=np.uint8)
-            log.record(RegisteredScan(scan_ns, step, near.astype(np.float32), reflectivity, odometry), t_ns)
+            ages_ns = np.zeros(len(near), np.int32)
+            scan = RegisteredScan(scan_ns, step, near.astype(np.float32), reflectivity, odometry, ages_ns)
+            log.record(scan, t_ns)
             p, _ = true_state(scan_ns * 1e-9)
             world = ORIGIN_WORLD + rotation.rotate(rotation.from_yaw(YAW_WORLD), p)
             q_world = rotation.multiply(rotation.from_yaw(YAW_WORLD), odometry.q_map_body)

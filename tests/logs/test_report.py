@@ -277,9 +277,9 @@ def test_the_mark_of_a_scan_knows_the_nearest_point_at_flight_level() -> None:
     inside, outside = LEVEL_BAND_M - 0.01, LEVEL_BAND_M + 0.01
     offsets = np.array([[3.0, 4.0, inside], [0.0, -6.0, 0.0], [0.1, 0.0, -outside], [0.0, 0.2, outside]])
     points = (state.p_map + offsets).astype(np.float32)
-    scan = RegisteredScan(0, 1, points, np.zeros(4, np.uint8), state)
+    scan = RegisteredScan(0, 1, points, np.zeros(4, np.uint8), state, np.zeros(4, np.int32))
     assert mark_of(scan).nearest_m == pytest.approx(5.0, abs=1e-5)
-    empty = RegisteredScan(0, 1, points[2:], np.zeros(2, np.uint8), state)
+    empty = RegisteredScan(0, 1, points[2:], np.zeros(2, np.uint8), state, np.zeros(2, np.int32))
     assert np.isnan(mark_of(empty).nearest_m)
 
 

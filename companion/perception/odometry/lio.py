@@ -19,6 +19,7 @@ from companion.messages import (
     OdometryStatus,
     PointArray,
     RegisteredScan,
+    SensorEvent,
 )
 from companion.perception.odometry import kernels
 from companion.perception.odometry.body_motion import body_odometry, no_odometry
@@ -78,11 +79,11 @@ class LidarInertialOdometry:
         """The filter's state at the newest scan's end, None before the start."""
         return self._scan_state
 
-    def handle(self, event: ImuSample | LidarScan) -> list[Odometry | RegisteredScan]:
+    def handle(self, event: SensorEvent) -> list[Odometry | RegisteredScan]:
         """Take one event and return what follows from it.
 
         Args:
-            event: IMU samples and scans in order of arrival.
+            event: IMU samples and scans in order of arrival; anything else is ignored.
 
         Returns:
             Odometry at the output rate, propagated to the newest IMU sample; one registered scan per
@@ -93,7 +94,7 @@ class LidarInertialOdometry:
         if isinstance(event, LidarScan):
             self._follow_clock(event)
             self.sequencer.add_scan(event)
-        else:
+        elif isinstance(event, ImuSample):
             outputs += self._handle_sample(event)
         while self._scan_state is not None:
             scan = self.sequencer.covered_scan(self._scan_state.t_ns)
@@ -132,7 +133,8 @@ class LidarInertialOdometry:
         self._scan_state = state
         outputs: list[Odometry | RegisteredScan] = []
         if correction.accepted:
-            outputs.append(self._registered(scan, points_imu, reflectivity, state, health))
+            ages_ns = (scan.t_sensor_end_ns - scan.t_sensor_start_ns - offsets_ns).astype(np.int32)
+            outputs.append(self._registered(scan, points_imu, reflectivity, ages_ns, state, health))
         self._head = state.copy()
         self._propagation.advance(
             self._head, self.sequencer.history, self.sequencer.history.last_ns, state.t_ns
@@ -223,6 +225,7 @@ class LidarInertialOdometry:
         scan: LidarScan,
         points_imu: FloatArray,
         reflectivity: ByteArray,
+        ages_ns: NDArray[np.int32],
         state: NavigationState,
         health: Health,
     ) -> RegisteredScan:
@@ -231,7 +234,9 @@ class LidarInertialOdometry:
         points_map: PointArray = (points_imu[kept] @ state.R_map_imu.T + state.p_map).astype(np.float32)
         omega_imu = self._propagation.end_rate
         odometry = self._odometry(state, omega_imu, health)
-        return RegisteredScan(scan.t_ns, scan.sequence, points_map, reflectivity[kept], odometry)
+        return RegisteredScan(
+            scan.t_ns, scan.sequence, points_map, reflectivity[kept], odometry, ages_ns[kept]
+        )
 
     def _odometry(self, state: NavigationState, omega_imu: FloatArray, health: Health) -> Odometry:
         return body_odometry(

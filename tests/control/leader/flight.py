@@ -42,7 +42,9 @@ def odometry_at(
 
 def scan_of(points_map: FloatArray, odometry: Odometry, sequence: int = 0) -> RegisteredScan:
     points = np.asarray(points_map, np.float32).reshape(-1, 3)
-    return RegisteredScan(odometry.t_ns, sequence, points, np.full(points.shape[0], 50, np.uint8), odometry)
+    count = points.shape[0]
+    reflectivity = np.full(count, 50, np.uint8)
+    return RegisteredScan(odometry.t_ns, sequence, points, reflectivity, odometry, np.zeros(count, np.int32))
 
 
 @dataclass(frozen=True)
