@@ -225,6 +225,28 @@ class NeighbourTracks:
     tracks: tuple[NeighbourTrack, ...]
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Neighbours:
+    """The nearest other UAVs, as a follower's controller sees them.
+
+    The heading frame has its origin in the own body, x where the nose points, z up.
+
+    Attributes:
+        t_ns: host time for which positions hold.
+        track_ids: (k,) numbers of the tracks, nearest first; -1 where there is none.
+        states_heading: (k, 7) relative position m, relative velocity m/s, and 1 where there is a neighbour
+            (all zero otherwise).
+        covariances_heading: (k, 6, 6) of relative position and velocity; zero where there is none.
+        ages_s: (k,) time since each was last seen; zero where there is none.
+    """
+
+    t_ns: int
+    track_ids: NDArray[np.int64]
+    states_heading: FloatArray
+    covariances_heading: FloatArray
+    ages_s: FloatArray
+
+
 class VehicleMode(Enum):
     """Flight mode of the autopilot."""
 

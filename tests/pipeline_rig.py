@@ -7,14 +7,13 @@ import numpy as np
 from companion.geometry import rotation
 from companion.messages import (
     Authorisation,
-    ImuSample,
     LandedState,
-    LidarScan,
     Odometry,
     OdometryStatus,
     Output,
     PlanUpdate,
     RegisteredScan,
+    SensorEvent,
     Setpoint,
     StatusText,
     Tick,
@@ -59,7 +58,7 @@ class ForwardRole:
 
 
 class NoEstimator:
-    def handle(self, event: ImuSample | LidarScan) -> list[Odometry | RegisteredScan]:
+    def handle(self, event: SensorEvent) -> list[Odometry | RegisteredScan]:
         return []
 
 
