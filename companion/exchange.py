@@ -8,12 +8,14 @@ from collections.abc import Iterable, Sequence
 
 from companion.drivers.px4_session import Px4Session
 from companion.logs import channels
-from companion.logs.records import Statistics
-from companion.logs.writer import FlightLog
+from companion.logs.recorder import Recorder
+from companion.logs.records import CallName, QueuePlace, RuntimeCall, Statistics, UnsentMessages
 from companion.messages import (
     Authorisation,
     Datagram,
     FlightState,
+    ImuSample,
+    LidarScan,
     MavlinkMessage,
     ModeRequest,
     Odometry,
@@ -32,7 +34,7 @@ from companion.pipeline import Pipeline
 class Exchange:
     """One vehicle's traffic between its parts."""
 
-    def __init__(self, pipeline: Pipeline, session: Px4Session, log: FlightLog) -> None:
+    def __init__(self, pipeline: Pipeline, session: Px4Session, log: Recorder) -> None:
         """Join the parts."""
         self._pipeline = pipeline
         self._session = session
@@ -50,6 +52,23 @@ class Exchange:
     def record_sensor_event(self, event: SensorEvent) -> None:
         """Keep a summary of a scan, or an inertial sample where the settings want it; from any thread."""
         self._log.record(event, event.t_ns)
+
+    def record_place(self, event: SensorEvent, place: int | None) -> None:
+        """Keep where an event stands in perception's queue, if the raw packets do not tell; from any thread.
+
+        Args:
+            event: what was submitted.
+            place: how many events the queue had taken before it, None if it was left out.
+        """
+        if isinstance(event, ImuSample):
+            kind, t_source_ns = "imu", event.t_sensor_ns
+        elif isinstance(event, LidarScan):
+            kind, t_source_ns = "scan", event.t_sensor_start_ns
+        else:
+            kind, t_source_ns = "external", event.t_source_ns
+        if place is None or kind == "external":
+            mark = QueuePlace(event.t_ns, kind, t_source_ns, -1 if place is None else place)
+            self._log.record(mark, event.t_ns)
 
     def record_counters(self, source: str, counters: object, t_ns: int) -> None:
         """Keep all numbers of a statistics snapshot (a slotted dataclass) under the name of its source."""
@@ -74,6 +93,15 @@ class Exchange:
         for message in messages:
             self._log.write(channels.MAVLINK_TX, message, t_ns)
 
+    def record_unsent(self, first: int, count: int, t_ns: int) -> None:
+        """Keep which messages never left: `count` of them, after the `first` ones that were decided."""
+        self._log.record(UnsentMessages(t_ns, first, count), t_ns)
+
+    def starting(self, t_ns: int) -> list[MavlinkMessage]:
+        """Return what is due to the autopilot before the flight begins."""
+        self._log.record(RuntimeCall(t_ns, CallName.STARTING), t_ns)
+        return self._session.poll(t_ns, FlightState.STARTING)
+
     def receive(self, message: MavlinkMessage, t_ns: int) -> list[MavlinkMessage]:
         """Take one message from the autopilot's link."""
         self._log.write(channels.MAVLINK_RX, message, t_ns)
@@ -95,6 +123,7 @@ class Exchange:
 
     def request_stop(self, t_ns: int) -> None:
         """End the flight from outside."""
+        self._log.record(RuntimeCall(t_ns, CallName.STOP), t_ns)
         self._pipeline.request_stop(t_ns)
 
     def tick(self, t_ns: int) -> list[MavlinkMessage]:

@@ -38,6 +38,7 @@ class PerceptionThread:
         self._stopping = threading.Event()
         self._waiting_scans = 0
         self._lock = threading.Lock()
+        self._taken = 0
         self._thread = threading.Thread(target=self._run, name="perception", daemon=True)
         self.dropped = 0
 
@@ -50,19 +51,25 @@ class PerceptionThread:
         self._stopping.set()
         self._thread.join(timeout=2.0)
 
-    def submit(self, event: SensorEvent) -> None:
-        """Queue one event, from any thread; when perception is late, scans go first, and are counted."""
+    def submit(self, event: SensorEvent) -> int | None:
+        """Queue one event, from any thread; when perception is late, scans go first, and are counted.
+
+        Returns:
+            How many events were queued before this one, None if it was left out.
+        """
         is_scan = isinstance(event, LidarScan)
         with self._lock:
             if is_scan and self._waiting_scans >= _MAX_WAITING_SCANS:
                 self.dropped += 1
-                return
+                return None
             try:
                 self._events.put_nowait(event)
             except queue.Full:
                 self.dropped += 1
-                return
+                return None
             self._waiting_scans += is_scan
+            self._taken += 1
+            return self._taken - 1
 
     def _run(self) -> None:
         try:

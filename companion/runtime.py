@@ -66,6 +66,15 @@ class Backlog:
     messages_dropped: int
 
 
+@dataclass(frozen=True, slots=True)
+class _Outgoing:
+    """Messages that wait to be sent: since when, and how many were posted before them."""
+
+    t_ns: int
+    first: int
+    messages: list[MavlinkMessage]
+
+
 class Flight:
     """One run of the companion on one vehicle."""
 
@@ -79,13 +88,14 @@ class Flight:
         pipeline = assemble(profile)
         session = Px4Session(profile.autopilot)
         self._exchange = Exchange(pipeline, session, log)
-        self._link = Px4Link(profile.autopilot, session, clock, self._on_mavlink)
+        self._link = Px4Link(profile.autopilot, session, clock, self._on_mavlink, self._exchange.starting)
         self._perception = PerceptionThread(
             pipeline, self._on_estimates, lambda: service.liveness.move("perception"), self._on_failure
         )
         self._lidar = LivoxDriver(profile.lidar, clock, self._on_sensor_event, self._exchange.record_datagram)
         self._control = ControlSocket(service.directories.runtime / SOCKET_NAME, self._on_request)
-        self._outbox: asyncio.Queue[tuple[int, list[MavlinkMessage]]] = asyncio.Queue(_OUTBOX_SIZE)
+        self._outbox: asyncio.Queue[_Outgoing] = asyncio.Queue(_OUTBOX_SIZE)
+        self._posted = 0
         self._loop: asyncio.AbstractEventLoop | None = None
         self._dropped = 0
         self._failure: BaseException | None = None
@@ -181,28 +191,33 @@ class Flight:
 
     async def _send_forever(self) -> None:
         while True:
-            posted_ns, messages = await self._outbox.get()
-            if self._clock.now_ns() - posted_ns > _MAX_OUTBOX_AGE_NS:
-                self._dropped += len(messages)
+            outgoing = await self._outbox.get()
+            now_ns = self._clock.now_ns()
+            if now_ns - outgoing.t_ns > _MAX_OUTBOX_AGE_NS:
+                self._give_up(outgoing, now_ns)
                 continue
-            await self._link.send(messages)
-            self._exchange.record_sent(messages, self._clock.now_ns())
+            await self._link.send(outgoing.messages)
+            self._exchange.record_sent(outgoing.messages, self._clock.now_ns())
             self._service.liveness.move("sending")
 
     def _post(self, t_ns: int, messages: list[MavlinkMessage]) -> None:
         if not messages:
             return
         if self._outbox.full():
-            _, dropped = self._outbox.get_nowait()
-            self._dropped += len(dropped)
-        self._outbox.put_nowait((t_ns, messages))
+            self._give_up(self._outbox.get_nowait(), t_ns)
+        self._outbox.put_nowait(_Outgoing(t_ns, self._posted, messages))
+        self._posted += len(messages)
+
+    def _give_up(self, outgoing: _Outgoing, t_ns: int) -> None:
+        self._dropped += len(outgoing.messages)
+        self._exchange.record_unsent(outgoing.first, len(outgoing.messages), t_ns)
 
     def _on_mavlink(self, message: MavlinkMessage, t_ns: int) -> None:
         self._post(t_ns, self._exchange.receive(message, t_ns))
 
     def _on_sensor_event(self, event: SensorEvent) -> None:
         self._exchange.record_sensor_event(event)
-        self._perception.submit(event)
+        self._exchange.record_place(event, self._perception.submit(event))
 
     def _on_failure(self, error: Exception) -> None:
         """End the flight because a thread has failed."""

@@ -60,7 +60,7 @@ class SteppedCompanion:
         self._exchange.record_datagram(datagram)
         for event in self._receiver.receive(datagram):
             self._exchange.record_sensor_event(event)
-            self._perception.submit(event)
+            self._exchange.record_place(event, self._perception.submit(event))
         return []
 
     def receive_mavlink(self, data: bytes, t_ns: int) -> list[bytes]:
@@ -105,10 +105,13 @@ class PerceptionQueue:
         self._events: deque[SensorEvent] = deque()
         self._results: deque[tuple[int, Sequence[PerceptionUpdate]]] = deque()
         self._busy_until_ns = 0
+        self._taken = 0
 
-    def submit(self, event: SensorEvent) -> None:
-        """Queue one event."""
+    def submit(self, event: SensorEvent) -> int:
+        """Queue one event; return how many were queued before it."""
         self._events.append(event)
+        self._taken += 1
+        return self._taken - 1
 
     def finished(self, t_ns: int) -> list[PerceptionUpdate]:
         """Work until `t_ns`; return the estimates that are finished by then."""

@@ -15,7 +15,7 @@ from companion.logs import channels
 from companion.logs.channels import Channel
 from companion.logs.metadata import FlightMetadata
 from companion.logs.reader import FlightRecording
-from companion.logs.records import FrameSummary, Statistics
+from companion.logs.records import FrameSummary, QueuePlace, Statistics
 from companion.logs.writer import FlightLog, LogSettings
 from companion.messages import (
     Authorisation,
@@ -77,6 +77,9 @@ class NoEstimator:
         return []
 
 
+SAMPLE = ImuSample(T0, 7, np.array([0.1, 0.2, 0.3]), np.array([0.0, 0.0, 9.81]))
+
+
 class ScriptedPipeline(Pipeline):
     """Remembers what it is asked to decide, and answers each tick with what was put in."""
 
@@ -132,6 +135,18 @@ def rig(tmp_path: Path) -> Iterator[Rig]:
 
 def names(messages: list[MavlinkMessage]) -> list[str]:
     return [message.name for message in messages]
+
+
+class TestPlaces:
+    def test_what_perception_never_saw_is_kept_by_its_stamps(self, rig: Rig) -> None:
+        rig.exchange.record_place(SCAN, 4)
+        rig.exchange.record_place(SCAN, None)
+        rig.exchange.record_place(SAMPLE, 5)
+        rig.exchange.record_place(SAMPLE, None)
+        assert rig.recorded(channels.QUEUE_PLACE) == [
+            QueuePlace(SCAN.t_ns, "scan", SCAN.t_sensor_start_ns, -1),
+            QueuePlace(SAMPLE.t_ns, "imu", SAMPLE.t_sensor_ns, -1),
+        ]
 
 
 class TestTick:
@@ -276,7 +291,7 @@ class TestTheRest:
         assert rig.recorded(channels.LIDAR_PACKETS) == [(DATAGRAM,)]
 
     def test_of_a_scan_its_summary_is_kept_and_of_a_sample_everything(self, rig: Rig) -> None:
-        sample = ImuSample(T0, 7, np.array([0.1, 0.2, 0.3]), np.array([0.0, 0.0, 9.81]))
+        sample = SAMPLE
         rig.exchange.record_sensor_event(sample)
         rig.exchange.record_sensor_event(SCAN)
         (kept,) = rig.recorded(channels.IMU)

@@ -15,7 +15,7 @@ from companion.config import Profile
 from companion.control_socket import ask
 from companion.errors import StartError
 from companion.logs import channels
-from companion.logs.records import Statistics
+from companion.logs.records import CallName, RuntimeCall, Statistics, UnsentMessages
 from companion.messages import (
     FlightState,
     FloatArray,
@@ -136,6 +136,15 @@ class TestFlying:
         ticks = [getattr(tick, "t_ns", 0) for tick in bench.recorded(channels.TICK)]
         assert set(np.diff(ticks)) == {20 * MS}
         assert bench.recorded(channels.MAVLINK_TX) == bench.sent
+
+    def test_calls_that_change_how_control_goes_on_are_kept_in_order(self, bench: Bench) -> None:
+        async def greet() -> None:
+            assert names(bench.poll(bench.clock.now_ns())) == ["HEARTBEAT"]
+
+        bench.on_link_start = greet
+        asyncio.run(bench.run())
+        calls = [entry for entry in bench.recorded(channels.CALL) if isinstance(entry, RuntimeCall)]
+        assert [call.name for call in calls] == [CallName.STARTING, CallName.STOP]
 
     def test_a_registered_scan_is_decided_on_at_once_and_the_rate_goes_on_from_there(
         self, bench: Bench
@@ -324,6 +333,10 @@ class TestOutbox:
         asyncio.run(bench.run(wait()))
         assert answers(bench.sent) == [102]
         assert bench.backlog()["messages_dropped"] == 1
+        # The very first message was the heartbeat of the first tick.
+        (unsent,) = bench.recorded(channels.MAVLINK_UNSENT)
+        assert isinstance(unsent, UnsentMessages)
+        assert (unsent.first, unsent.count) == (1, 1)
 
     def test_when_it_is_full_the_oldest_goes_first(self, bench: Bench) -> None:
         asked = range(1000, 1300)
@@ -343,3 +356,5 @@ class TestOutbox:
         asyncio.run(bench.run(wait()))
         assert answers(bench.sent) == list(asked)[-256:]
         assert bench.backlog()["messages_dropped"] == len(asked) - 256
+        unsent = bench.recorded(channels.MAVLINK_UNSENT)
+        assert [getattr(mark, "first", None) for mark in unsent] == list(range(1, 1 + len(asked) - 256))

@@ -36,6 +36,7 @@ from companion.messages import FlightState, MavlinkMessage
 _log = structlog.get_logger(__name__)
 
 OnMessage = Callable[[MavlinkMessage, int], None]
+Starting = Callable[[int], list[MavlinkMessage]]
 
 # Everything the session uses; the rest is never turned into Python objects.
 _RECEIVED = (
@@ -114,22 +115,28 @@ class Px4Link:
     """The link to one autopilot; lives on one event loop."""
 
     def __init__(
-        self, settings: Px4Settings, session: Px4Session, clock: Clock, on_message: OnMessage
+        self,
+        settings: Px4Settings,
+        session: Px4Session,
+        clock: Clock,
+        on_message: OnMessage,
+        starting: Starting | None = None,
     ) -> None:
         """Prepare; nothing is opened before `start`.
 
         Args:
             settings: link and identities.
-            session: tells whether the configured autopilot has been heard; asked for what to send while
-                starting. It is fed by `on_message`.
+            session: tells whether the configured autopilot has been heard. It is fed by `on_message`.
             clock: stamps what arrives.
             on_message: called on the event loop with every message and its host time of arrival. It
                 hands the message to the session.
+            starting: asked for what to send while nobody has been heard; the session itself by default.
         """
         self._settings = settings
         self._session = session
         self._clock = clock
         self._on_message = on_message
+        self._starting = starting or (lambda t_ns: session.poll(t_ns, FlightState.STARTING))
         self._executor: ThreadPoolExecutor | None = None
         self._carrier: Any = None
         self._plugin: Any = None
@@ -243,7 +250,7 @@ class Px4Link:
             if now_ns >= deadline_ns:
                 raise StartError(self._nobody())
             # On a serial line PX4 speaks only to those who speak.
-            await self.send(self._session.poll(now_ns, FlightState.STARTING))
+            await self.send(self._starting(now_ns))
             self._heard.clear()
             try:
                 await asyncio.wait_for(self._heard.wait(), _START_POLL_S)

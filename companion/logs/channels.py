@@ -7,9 +7,12 @@ from companion.logs.records import (
     CloudView,
     FrameSummary,
     PathView,
+    QueuePlace,
+    RuntimeCall,
     ScanMark,
     StampedPose,
     Statistics,
+    UnsentMessages,
 )
 from companion.messages import (
     Authorisation,
@@ -43,8 +46,8 @@ class Channel:
         message_type: class of the messages (a tuple of `Datagram` for raw packets).
         schema: name of the message's schema in the file.
         rate_hz: approximate messages per second in flight, 0 if only now and then.
-        journal: the message is a control event; the order of all journal channels in the file is
-            the order in which the pipeline handled them.
+        journal: the message is a control event, or a call that changes how control goes on; the order
+            of all journal channels in the file is the order in which they were handled.
         bulk: dropped first when the disk cannot follow.
         logged: written unless the settings say otherwise.
     """
@@ -67,11 +70,14 @@ LIDAR_FRAMES = Channel("/lidar/frames", FrameSummary, _JSON, "companion.FrameSum
 IMU = Channel("/imu", ImuSample, _JSON, "companion.ImuSample", 200, bulk=True, logged=False)
 MAVLINK_RX = Channel("/mavlink/rx", MavlinkMessage, _JSON, "companion.MavlinkMessage", 150)
 MAVLINK_TX = Channel("/mavlink/tx", MavlinkMessage, _JSON, "companion.MavlinkMessage", 100)
+MAVLINK_UNSENT = Channel("/mavlink/unsent", UnsentMessages, _JSON, "companion.UnsentMessages", 0)
+QUEUE_PLACE = Channel("/perception/queue", QueuePlace, _JSON, "companion.QueuePlace", 0)
 ODOMETRY = Channel("/odometry", Odometry, _JSON, "companion.Odometry", 50, journal=True)
 SCAN = Channel("/scan", ScanMark, _JSON, "companion.ScanMark", 10, journal=True)
 VEHICLE = Channel("/vehicle", VehicleState, _JSON, "companion.VehicleState", 30, journal=True)
 AUTHORISATION = Channel("/authorisation", Authorisation, _JSON, "companion.Authorisation", 0, journal=True)
 TICK = Channel("/tick", Tick, _JSON, "companion.Tick", 50, journal=True)
+CALL = Channel("/call", RuntimeCall, _JSON, "companion.RuntimeCall", 0, journal=True)
 SETPOINT = Channel("/setpoint", Setpoint, _JSON, "companion.Setpoint", 50)
 MODE_REQUEST = Channel("/mode_request", ModeRequest, _JSON, "companion.ModeRequest", 0)
 STATE = Channel("/state", StateChange, _JSON, "companion.StateChange", 0)
@@ -90,11 +96,14 @@ CHANNELS: tuple[Channel, ...] = (
     IMU,
     MAVLINK_RX,
     MAVLINK_TX,
+    MAVLINK_UNSENT,
+    QUEUE_PLACE,
     ODOMETRY,
     SCAN,
     VEHICLE,
     AUTHORISATION,
     TICK,
+    CALL,
     SETPOINT,
     MODE_REQUEST,
     STATE,

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from enum import Enum
 
 from companion.messages import ByteArray, FloatArray, PointArray
 
@@ -89,6 +90,61 @@ class FrameSummary:
     points: int
     packets: int
     packets_expected: int
+
+
+class CallName(Enum):
+    """What the runtime may ask of a flight beside its events."""
+
+    STARTING = "starting"
+    """What is due to the autopilot before the flight begins."""
+
+    STOP = "stop"
+    """Brake and end."""
+
+
+@dataclass(frozen=True, slots=True)
+class RuntimeCall:
+    """The runtime asked for something that changes how control goes on.
+
+    Attributes:
+        t_ns: host time of the call.
+    """
+
+    t_ns: int
+    name: CallName
+
+
+@dataclass(frozen=True, slots=True)
+class QueuePlace:
+    """Where a sensor event stood in perception's queue, if that does not follow from the raw packets.
+
+    Attributes:
+        t_ns: host time of the event.
+        kind: "imu", "scan" or "external".
+        t_source_ns: time of the event on its source's clock; of a scan, the start.
+        place: events taken into the queue before it since the start, -1 if it was left out because
+            perception was late.
+    """
+
+    t_ns: int
+    kind: str
+    t_source_ns: int
+    place: int
+
+
+@dataclass(frozen=True, slots=True)
+class UnsentMessages:
+    """Messages to the autopilot that were decided but never left, because sending was late.
+
+    Attributes:
+        t_ns: host time at which they were given up.
+        first: messages decided before them since the start.
+        count: how many they are.
+    """
+
+    t_ns: int
+    first: int
+    count: int
 
 
 @dataclass(frozen=True, slots=True)

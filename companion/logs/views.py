@@ -10,21 +10,24 @@ from companion.logs.records import (
     CloudView,
     FrameSummary,
     PathView,
+    QueuePlace,
+    RuntimeCall,
     ScanMark,
     StampedPose,
     Statistics,
+    UnsentMessages,
 )
 from companion.messages import (
     ControlEvent,
-    ImuSample,
     LidarScan,
     Odometry,
     Output,
     PlanUpdate,
     RegisteredScan,
+    SensorEvent,
 )
 
-Recordable = ControlEvent | Output | ImuSample | LidarScan | Statistics
+Recordable = ControlEvent | Output | SensorEvent | Statistics | QueuePlace | RuntimeCall | UnsentMessages
 
 LEVEL_BAND_M = 0.5
 
@@ -35,6 +38,9 @@ _SIMPLE: dict[type, Channel] = {
         channels.VEHICLE,
         channels.AUTHORISATION,
         channels.TICK,
+        channels.CALL,
+        channels.QUEUE_PLACE,
+        channels.MAVLINK_UNSENT,
         channels.SETPOINT,
         channels.MODE_REQUEST,
         channels.STATE,
