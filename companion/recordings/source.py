@@ -8,6 +8,9 @@ from companion.errors import LogError
 from companion.logs.container import LIBRARY
 from companion.logs.container import MAGIC as MCAP_MAGIC
 from companion.messages import SensorEvent
+from companion.recordings.bag import BagRecording
+from companion.recordings.bag_container import BagContainer, Storage
+from companion.recordings.bag_settings import BagSettings
 from companion.recordings.capture import CaptureSource
 from companion.recordings.capture_frames import PCAP_MAGICS, PCAPNG_MAGIC
 from companion.recordings.flight_packets import FlightPackets
@@ -16,7 +19,7 @@ from companion.recordings.lvx2 import Lvx2Source
 from companion.recordings.packets import PacketRecording, PacketSource
 from companion.recordings.recording import Recording
 
-FORMATS = "PCAP, PCAPNG, LVX2, flight log"
+FORMATS = "PCAP, PCAPNG, LVX2, ROS 1 bag, ROS 2 bag (SQLite, MCAP), flight log"
 
 _COMPRESSED = {
     b"\x1f\x8b": "gzip",
@@ -29,8 +32,7 @@ _HEAD_BYTES = 64
 
 
 def open_recording(
-    path: Path,
-    lidar: LivoxSettings | None = None,
+    path: Path, lidar: LivoxSettings | None = None, bag: BagSettings | None = None
 ) -> Recording:
     """Open a recording; its format is told by its first bytes.
 
@@ -38,28 +40,38 @@ def open_recording(
         path: the file (or the folder of a ROS 2 bag).
         lidar: what is filtered, how scans are cut, and which sensor is read when the file holds several:
             the one at `lidar_ip`. A file with one sensor is read whatever its address.
+        bag: topics and units, for ROS bags that leave a choice.
 
     Raises:
         LogError: if the format is unknown, or nothing in the file can be used.
         OSError: if the file is missing or cannot be read.
     """
     settings = lidar or LivoxSettings()
-    with path.open("rb") as file:
-        head = file.read(_HEAD_BYTES)
+    head = b""
+    if not path.is_dir():
+        with path.open("rb") as file:
+            head = file.read(_HEAD_BYTES)
     source = _packet_source(path, head, settings)
     if source is not None:
         return PacketRecording(path, source, settings)
+    storage = _bag_storage(path, head)
+    if storage is not None:
+        return BagRecording(path, BagContainer(path, storage), settings, bag or BagSettings())
+    if path.is_dir():
+        raise LogError(f"{path}: a folder without metadata.yaml is no ROS 2 bag")
     raise LogError(f"{path}: byte 0: {_described(head)}; known formats are {FORMATS}")
 
 
-def read_events(path: Path, lidar: LivoxSettings | None = None) -> Iterator[SensorEvent]:
+def read_events(
+    path: Path, lidar: LivoxSettings | None = None, bag: BagSettings | None = None
+) -> Iterator[SensorEvent]:
     """Yield the events of a recording: `open_recording` without looking at its summary.
 
     Raises:
         LogError: if the format is unknown, or nothing in the file can be used.
         OSError: if the file is missing or cannot be read.
     """
-    yield from open_recording(path, lidar).events()
+    yield from open_recording(path, lidar, bag).events()
 
 
 def _packet_source(path: Path, head: bytes, lidar: LivoxSettings) -> PacketSource | None:
@@ -72,6 +84,16 @@ def _packet_source(path: Path, head: bytes, lidar: LivoxSettings) -> PacketSourc
     if head.startswith(MCAP_MAGIC) and _mcap_library(head) == LIBRARY:
         return FlightPackets(path)
     return None
+
+
+def _bag_storage(path: Path, head: bytes) -> Storage | None:
+    if path.is_dir():
+        return "dir" if (path / "metadata.yaml").is_file() else None
+    if head.startswith(b"#ROSBAG"):
+        return "rosbag1"
+    if head.startswith(b"SQLite format 3\0"):
+        return ".db3"
+    return ".mcap" if head.startswith(MCAP_MAGIC) else None
 
 
 def _mcap_library(head: bytes) -> str:
