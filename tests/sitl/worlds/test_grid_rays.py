@@ -81,7 +81,7 @@ def test_rays_and_points_give_the_same_grid(seed: int, imperfect: bool) -> None:
     agree = np.isfinite(from_points) == np.isfinite(from_rays)
     assert agree.mean() > 0.97
     both = np.isfinite(from_points) & np.isfinite(from_rays)
-    assert both.sum() > 100
+    assert both.sum() > 60
     off = np.abs(from_points[both] - from_rays[both])
     # Where a cell holds two surfaces, one of both may have been passed by.
     assert np.median(off) < 0.03
