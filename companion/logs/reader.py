@@ -1,6 +1,6 @@
 """Reads a recorded flight, finished or not, one message at a time."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,6 +14,29 @@ from companion.logs.container_reader import (
     RawMetadata,
 )
 from companion.logs.log_queue import LogEntry
+
+
+@dataclass(frozen=True, slots=True)
+class EncodedEntry:
+    """One message as it stands in the log.
+
+    Attributes:
+        t_ns: time at which it was handled, as told to the log.
+        sequence: counts the messages of its channel from 0, including those that were dropped.
+    """
+
+    channel: Channel
+    t_ns: int
+    sequence: int
+    data: bytes
+
+    def message(self) -> object:
+        """Return the message.
+
+        Raises:
+            ValueError: if the bytes are not what the channel promises.
+        """
+        return codec_of(self.channel).decode(self.data)
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +84,7 @@ class FlightRecording:
         self.versions: dict[str, str] = {}
         self.configuration = ""
         self._integrity: Integrity | None = None
+        self._reader: ContainerReader | None = None
         for item in ContainerReader(path).items():
             if isinstance(item, RawMessage):
                 break
@@ -77,27 +101,44 @@ class FlightRecording:
         Raises:
             LogError: if reading the disk fails.
         """
-        topics = {channel.topic for channel in wanted or BY_TOPIC.values()}
         tally = _Tally()
-        reader = ContainerReader(self._path)
-        decoders: dict[str, tuple[Channel, Callable[[bytes], object]] | None] = {}
+        for entry in self._encoded(tally, wanted):
+            try:
+                message = entry.message()
+            except ValueError:
+                tally.undecodable += 1
+                continue
+            yield LogEntry(entry.channel, entry.t_ns, entry.sequence, message)
+
+    def encoded(self, *wanted: Channel) -> Iterator[EncodedEntry]:
+        """Yield messages as they stand in the file, in its order, of the `wanted` channels or of all.
+
+        Raises:
+            LogError: if reading the disk fails.
+        """
+        return self._encoded(_Tally(), wanted)
+
+    @property
+    def progress(self) -> float:
+        """How much of the file the pass begun last has read, 0 to 1."""
+        if self._reader is None or not self._reader.bytes_total:
+            return 0.0
+        return self._reader.bytes_good / self._reader.bytes_total
+
+    def _encoded(self, tally: "_Tally", wanted: Sequence[Channel]) -> Iterator[EncodedEntry]:
+        topics = {channel.topic for channel in wanted or BY_TOPIC.values()}
+        reader = self._reader = ContainerReader(self._path)
+        known: dict[str, Channel | None] = {}
         for item in reader.items():
             if not isinstance(item, RawMessage):
                 continue
             topic = item.channel.topic
-            if topic not in decoders:
-                decoders[topic] = _decoder(item)
-            decoder = decoders[topic]
-            tally.count(item, known=decoder is not None)
-            if decoder is None or topic not in topics:
-                continue
-            channel, decode = decoder
-            try:
-                message = decode(item.data)
-            except ValueError:
-                tally.undecodable += 1
-                continue
-            yield LogEntry(channel, item.t_ns, item.sequence, message)
+            if topic not in known:
+                known[topic] = _known_channel(item)
+            channel = known[topic]
+            tally.count(item, known=channel is not None)
+            if channel is not None and topic in topics:
+                yield EncodedEntry(channel, item.t_ns, item.sequence, item.data)
         self._integrity = tally.integrity(reader)
 
     def control_events(self) -> Iterator[LogEntry]:
@@ -122,11 +163,11 @@ class FlightRecording:
         self.configuration = item.data.decode(errors="replace")
 
 
-def _decoder(item: RawMessage) -> tuple[Channel, Callable[[bytes], object]] | None:
+def _known_channel(item: RawMessage) -> Channel | None:
     channel = BY_TOPIC.get(item.channel.topic)
     if channel is None or channel.schema != item.channel.schema_name:
         return None
-    return channel, codec_of(channel).decode
+    return channel
 
 
 class _Tally:
