@@ -5,8 +5,9 @@ import numpy as np
 from companion.config import Profile
 from companion.control.hold import HoldRole
 from companion.control.leader.planner import LeaderPlanner
+from companion.perception.odometry.external import ExternalMotionEstimator
 from companion.perception.odometry.lio import LidarInertialOdometry
-from companion.pipeline import Pipeline, Role
+from companion.pipeline import Estimator, Pipeline, Role
 
 _PLANNER_SEED = 0
 
@@ -14,13 +15,18 @@ _PLANNER_SEED = 0
 def assemble(profile: Profile) -> Pipeline:
     """Build the pipeline of one vehicle."""
     return Pipeline(
-        estimator=LidarInertialOdometry(
-            profile.odometry, profile.vehicle.T_body_lidar, profile.vehicle.T_lidar_imu
-        ),
+        estimator=_estimator(profile),
         role=_role(profile),
         safety=profile.safety,
         authorisation_sources=profile.authorisation.sources,
     )
+
+
+def _estimator(profile: Profile) -> Estimator:
+    vehicle = profile.vehicle
+    if profile.odometry.source == "external":
+        return ExternalMotionEstimator(profile.odometry, vehicle.T_body_lidar, vehicle.T_lidar_imu)
+    return LidarInertialOdometry(profile.odometry, vehicle.T_body_lidar, vehicle.T_lidar_imu)
 
 
 def _role(profile: Profile) -> Role:

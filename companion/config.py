@@ -12,6 +12,7 @@ import yaml
 from pydantic import Field, Strict, model_validator
 
 from companion.control.leader.settings import LeaderSettings
+from companion.drivers.external_odometry_settings import ExternalOdometrySettings
 from companion.drivers.livox_settings import LivoxSettings
 from companion.drivers.px4_settings import Px4Settings
 from companion.geometry import rotation
@@ -96,7 +97,10 @@ class Profile(Settings):
     """The link to PX4."""
 
     odometry: OdometrySettings = OdometrySettings()
-    """LiDAR-inertial odometry."""
+    """Own motion: where it comes from, and the LiDAR-inertial odometry."""
+
+    external_odometry: ExternalOdometrySettings = ExternalOdometrySettings()
+    """Where another process sends its odometry; for `odometry.source: external` only."""
 
     leader: LeaderSettings | None = None
     """Mission and planner; for the role `leader` only."""
@@ -123,6 +127,23 @@ class Profile(Settings):
         for index, source in enumerate(sources):
             if source in sources[:index]:
                 raise misfit(("authorisation", "sources", index), f"{source!r} twice", "each source once")
+        return self
+
+    @model_validator(mode="after")
+    def _external_odometry_has_its_own_port(self) -> "Profile":
+        if self.odometry.source != "external":
+            return self
+        ports = self.lidar.host_ports
+        taken = {ports.discovery, ports.command, ports.state, ports.points, ports.imu}
+        if self.autopilot.url.startswith("udpin://"):
+            taken.add(int(self.autopilot.url.rpartition(":")[2]))
+        port = self.external_odometry.port
+        if port in taken:
+            raise misfit(
+                ("external_odometry", "port"),
+                f"{port}, which the LiDAR or the autopilot uses",
+                "another port",
+            )
         return self
 
     @model_validator(mode="after")

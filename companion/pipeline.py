@@ -15,6 +15,7 @@ from companion.clock import seconds_to_ns
 from companion.messages import (
     Authorisation,
     ControlEvent,
+    ExternalOdometry,
     FlightState,
     ImuSample,
     LidarScan,
@@ -138,7 +139,7 @@ class Pipeline:
 
     def handle(self, event: SensorEvent | ControlEvent) -> list[Output]:
         """Process one event completely; return what should happen, in order."""
-        if isinstance(event, (ImuSample, LidarScan)):
+        if isinstance(event, (ImuSample, LidarScan, ExternalOdometry)):
             outputs: list[Output] = []
             for update in self.perceive(event):
                 outputs.extend(self.decide(update))

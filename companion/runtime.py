@@ -20,6 +20,7 @@ from companion.config import Profile
 from companion.control_socket import ControlSocket, JsonObject
 from companion.decision_schedule import DecisionSchedule
 from companion.directories import SOCKET_NAME
+from companion.drivers.external_odometry_link import ExternalOdometryLink
 from companion.drivers.livox import LivoxDriver
 from companion.drivers.px4 import Px4Link
 from companion.drivers.px4_session import Px4Session
@@ -93,6 +94,9 @@ class Flight:
             pipeline, self._on_estimates, lambda: service.liveness.move("perception"), self._on_failure
         )
         self._lidar = LivoxDriver(profile.lidar, clock, self._on_sensor_event, self._exchange.record_datagram)
+        self._external: ExternalOdometryLink | None = None
+        if profile.odometry.source == "external":
+            self._external = ExternalOdometryLink(profile.external_odometry, clock, self._on_sensor_event)
         self._control = ControlSocket(service.directories.runtime / SOCKET_NAME, self._on_request)
         self._outbox: asyncio.Queue[_Outgoing] = asyncio.Queue(_OUTBOX_SIZE)
         self._posted = 0
@@ -154,6 +158,9 @@ class Flight:
         self._service.status("starting: autopilot")
         drivers.push_async_callback(self._link.stop)
         await self._link.start(_START_TIMEOUT_S)
+        if self._external is not None:
+            drivers.push_async_callback(self._external.stop)
+            await self._external.start()
         self._service.status("starting: LiDAR")
         drivers.push_async_callback(self._lidar.stop)
         await self._lidar.start(_START_TIMEOUT_S)
@@ -273,6 +280,8 @@ class Flight:
         state = self._exchange.state
         self._service.status(state.value)
         self._exchange.record_counters("lidar", self._lidar.statistics(), t_ns)
+        if self._external is not None:
+            self._exchange.record_counters("external_odometry", self._external.statistics(), t_ns)
         self._exchange.record_link(t_ns)
         self._exchange.record_counters("runtime", Backlog(self._perception.dropped, self._dropped), t_ns)
         self._flight_log.record(self._flight_log.status().statistics(t_ns), t_ns)

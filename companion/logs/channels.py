@@ -16,6 +16,7 @@ from companion.logs.records import (
 )
 from companion.messages import (
     Authorisation,
+    ExternalOdometry,
     ImuSample,
     MavlinkMessage,
     ModeRequest,
@@ -68,6 +69,9 @@ _JSON, _FOXGLOVE = Encoding.JSON, Encoding.FOXGLOVE
 LIDAR_PACKETS = Channel("/lidar/packets", tuple, Encoding.DATAGRAMS, "companion.Datagrams", 100, bulk=True)
 LIDAR_FRAMES = Channel("/lidar/frames", FrameSummary, _JSON, "companion.FrameSummary", 10)
 IMU = Channel("/imu", ImuSample, _JSON, "companion.ImuSample", 200, bulk=True, logged=False)
+EXTERNAL_ODOMETRY = Channel(
+    "/external_odometry", ExternalOdometry, _JSON, "companion.ExternalOdometry", 50
+)
 MAVLINK_RX = Channel("/mavlink/rx", MavlinkMessage, _JSON, "companion.MavlinkMessage", 150)
 MAVLINK_TX = Channel("/mavlink/tx", MavlinkMessage, _JSON, "companion.MavlinkMessage", 100)
 MAVLINK_UNSENT = Channel("/mavlink/unsent", UnsentMessages, _JSON, "companion.UnsentMessages", 0)
@@ -94,6 +98,7 @@ CHANNELS: tuple[Channel, ...] = (
     LIDAR_PACKETS,
     LIDAR_FRAMES,
     IMU,
+    EXTERNAL_ODOMETRY,
     MAVLINK_RX,
     MAVLINK_TX,
     MAVLINK_UNSENT,

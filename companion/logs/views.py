@@ -35,6 +35,7 @@ _SIMPLE: dict[type, Channel] = {
     channel.message_type: channel
     for channel in (
         channels.IMU,
+        channels.EXTERNAL_ODOMETRY,
         channels.VEHICLE,
         channels.AUTHORISATION,
         channels.TICK,

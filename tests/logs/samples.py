@@ -21,6 +21,7 @@ from companion.logs.records import (
 from companion.messages import (
     Authorisation,
     Datagram,
+    ExternalOdometry,
     FlightState,
     ImuSample,
     LandedState,
@@ -70,6 +71,24 @@ def odometry(t_ns: int, rng: np.random.Generator) -> Odometry:
         reset_counter=2,
         status=OdometryStatus.DEGRADED,
         reason="corridor",
+    )
+
+
+def external_odometry(t_ns: int, rng: np.random.Generator) -> ExternalOdometry:
+    return ExternalOdometry(
+        t_ns=t_ns,
+        t_source_ns=1_700_000_000_123_456_000,
+        clock_offset_ns=t_ns - 1_700_000_000_123_956_789,
+        on_lidar_clock=False,
+        session=2,
+        p_map=rng.normal(size=3),
+        q_map_body=np.array([0.5, -0.5, 0.5, -0.5]),
+        v_map=np.full(3, np.nan),
+        omega_body=rng.normal(size=3),
+        covariance_pose=rng.normal(size=(6, 6)),
+        covariance_velocity=rng.normal(size=(3, 3)),
+        quality=-1,
+        reset_counter=255,
     )
 
 
@@ -123,6 +142,7 @@ def one_of_each() -> dict[Channel, object]:
         channels.LIDAR_PACKETS: (datagram(5), Datagram(-6, HOST, ("10.0.0.255", 65535), b"")),
         channels.LIDAR_FRAMES: FrameSummary(t_ns, 3, 1, 100_000_001, -55, 20_000, 207, 208),
         channels.IMU: ImuSample(t_ns, 17, rng.normal(size=3), np.array([0.0, 0.0, 9.81])),
+        channels.EXTERNAL_ODOMETRY: external_odometry(t_ns, rng),
         channels.MAVLINK_RX: mavlink,
         channels.MAVLINK_TX: MavlinkMessage("HEARTBEAT", 1, 191, {}),
         channels.MAVLINK_UNSENT: UnsentMessages(t_ns, 5000, 2),

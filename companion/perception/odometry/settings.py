@@ -1,12 +1,20 @@
 """What can be tuned in the LiDAR-inertial odometry; the defaults fit a Mid-360 on a small quadrotor."""
 
+from typing import Literal
+
 from pydantic import Field
 
+from companion.perception.odometry.external_settings import ExternalMotionSettings
 from companion.settings import Settings
 
 
 class OdometrySettings(Settings):
     """Settings of the LiDAR-inertial odometry."""
+
+    source: Literal["lidar_inertial", "external"] = "lidar_inertial"
+    """Where own motion comes from: our own estimate, or another process by way of `external_odometry`."""
+    external: ExternalMotionSettings = ExternalMotionSettings()
+    """What the other process's odometry has to be like; for the source `external` only."""
 
     output_hz: float = Field(default=50.0, ge=1.0, le=400.0)
     """Rate of the forward-propagated odometry; never more than one per IMU sample."""
