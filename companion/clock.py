@@ -44,6 +44,10 @@ class SystemClock:
         """Return the processor time that the calling thread has used, for measurements."""
         return time.thread_time_ns()
 
+    def process_cpu_ns(self) -> int:
+        """Return the processor time that all threads of this process have used, for measurements."""
+        return time.process_time_ns()
+
     async def sleep(self, duration_ns: int) -> None:
         """Suspend the calling task for a duration in nanoseconds (at once when not positive)."""
         await asyncio.sleep(max(0, duration_ns) / NANOSECONDS_PER_SECOND)

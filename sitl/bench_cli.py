@@ -1,13 +1,18 @@
 """The verbs of `sitl bench`."""
 
-from collections.abc import Sequence
+import os
+import sys
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from companion.command_line import AsJson, Result, conclude
 from companion.exit_codes import ExitCode
+
+if TYPE_CHECKING:
+    from sitl.bench.comparison import Result as ComparisonResult
 
 app = typer.Typer(help="Measure what this product promises.", no_args_is_help=True, rich_markup_mode=None)
 
@@ -29,20 +34,88 @@ def raycast(
     conclude(body, json_output)
 
 
-@app.command(epilog="Example: sitl bench odometry --duration 60")
+@app.command(epilog="Example: sitl bench odometry --worlds pillars,forest --systems companion,rko_lio")
 def odometry(
-    duration: Annotated[float, typer.Option(min=5.0, help="Seconds per flight.")] = 60.0,
+    worlds: Annotated[
+        str, typer.Option(help="Worlds to fly in, separated by commas: indoor, pillars, forest, ...")
+    ] = "all",
+    systems: Annotated[
+        str, typer.Option(help="Who takes part: companion, rko_lio, kiss_icp, small_gicp.")
+    ] = "all",
+    duration: Annotated[float, typer.Option(min=5.0, max=7200.0, help="Seconds per flight.")] = 60.0,
     seed: Annotated[int, typer.Option(min=0, help="Of world and noise.")] = 1,
+    recording: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="A recorded flight instead: PCAP, LVX2, ROS bag, flight log."
+        ),
+    ] = None,
+    truth: Annotated[
+        Path | None,
+        typer.Option(metavar="TUM", help="Its true path: the body's poses by the host's or sensor's clock."),
+    ] = None,
+    profile: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="YAML", help="Mount and settings; without it the body is the LiDAR."
+        ),
+    ] = None,
+    out: Annotated[Path, typer.Option(help="Folder for results.json, table.md and odometry.html.")] = Path(
+        "runs/bench"
+    ),
     json_output: AsJson = False,
 ) -> None:
-    """Accuracy and time per scan of our odometry on simulated flights."""
+    """Compare our odometry with its peers on the same flights: accuracy and time per scan.
+
+    APE: distance of the body's path from the truth after the best rigid alignment, root mean square. Drift:
+    mean error of the motion over stretches of 20, 40 and 80 m of path, seen from each stretch's start, in
+    percent (as KITTI counts it). Times are of the call that registers a scan, on one thread; all systems
+    take the same events in one process, in rotating order. The first two seconds do not count.
+    """
+    if recording is None and truth is not None:
+        raise typer.BadParameter("--truth goes with --recording")
+    if recording is not None and worlds != "all":
+        raise typer.BadParameter("--worlds and --recording exclude each other")
+    from sitl.bench.comparison import SYSTEMS
+    from sitl.bench.courses import COURSES
+
+    wanted_worlds = _names(worlds, tuple(COURSES), "world")
+    wanted_systems = _names(systems, SYSTEMS, "system")
 
     def body() -> tuple[Result, ExitCode]:
+        from companion.config import load_profile
         from companion.kernel_cache import load_kernels
-        from sitl.bench.odometry import measure
+        from sitl.bench.comparison_page import write
+        from sitl.bench.odometry import Plan, measure
+        from sitl.bench.recorded import measure_recording
 
+        vehicle = load_profile(profile) if profile is not None else None
+        out.mkdir(parents=True, exist_ok=True)
+        _keep_output_for_us()
         load_kernels()
-        return _shown(measure(duration, seed), json_output), ExitCode.OK
+        table, progress = _Table(), _Progress()
+        done: list[ComparisonResult] = []
+
+        def show(result: "ComparisonResult") -> None:
+            progress.clear()
+            done.append(result)
+            if not json_output:
+                table.show(result.row.shown())
+
+        try:
+            if recording is not None:
+                for result in measure_recording(recording, truth, wanted_systems, vehicle, progress.show):
+                    show(result)
+            else:
+                settings = vehicle.odometry if vehicle is not None else None
+                plan = Plan(wanted_worlds, wanted_systems, duration, seed, settings)
+                measure(plan, show, progress.show)
+        finally:
+            progress.clear()
+            files = [str(file) for file in write(out, done)] if done else []
+        if not json_output:
+            print("written: " + ", ".join(files))
+        return {"rows": [result.row.as_dict() for result in done], "files": files}, ExitCode.OK
 
     conclude(body, json_output)
 
@@ -68,13 +141,59 @@ def flights(
     conclude(body, json_output)
 
 
+def _names(text: str, known: Sequence[str], what: str) -> list[str]:
+    """Return the names in a list separated by commas; "all" stands for every one."""
+    if text == "all":
+        return list(known)
+    # The packages write some of their names with a hyphen.
+    names = list(dict.fromkeys(name.strip().replace("-", "_") for name in text.split(",")))
+    for name in names:
+        if name not in known:
+            raise typer.BadParameter(f"there is no {what} {name!r}; there are {', '.join(known)}")
+    return names
+
+
+def _keep_output_for_us() -> None:
+    """Send to the error output what libraries in C++ print, some of it as late as at exit."""
+    try:
+        ours = os.dup(sys.stdout.fileno())
+    except (OSError, ValueError):  # not a real file: nothing to keep apart
+        return
+    sys.stdout.flush()
+    os.dup2(sys.stderr.fileno(), 1)
+    sys.stdout = os.fdopen(ours, "w", encoding=sys.stdout.encoding, errors=sys.stdout.errors, buffering=1)
+
+
+class _Progress:
+    """One line on a terminal; elsewhere a line a minute of flight."""
+
+    def __init__(self) -> None:
+        self._width = 0
+        self._count = 0
+
+    def show(self, text: str) -> None:
+        """Show the newest text."""
+        self._count += 1
+        if sys.stderr.isatty():
+            print(f"\r{text.ljust(self._width)}", end="", file=sys.stderr, flush=True)
+            self._width = len(text)
+        elif self._count % 60 == 0:
+            print(text, file=sys.stderr, flush=True)
+
+    def clear(self) -> None:
+        """Leave a clean line for what follows."""
+        if self._width:
+            print(f"\r{' ' * self._width}\r", end="", file=sys.stderr, flush=True)
+            self._width = 0
+
+
 class _Table:
     """Prints rows as they come, under one heading; columns are as wide as the first row needs."""
 
     def __init__(self) -> None:
         self._widths: list[int] = []
 
-    def show(self, row: dict[str, object]) -> None:
+    def show(self, row: Mapping[str, object]) -> None:
         """Print one row."""
         if not self._widths:
             self._widths = [max(len(name), len(_cell(value))) for name, value in row.items()]
