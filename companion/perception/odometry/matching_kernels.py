@@ -5,117 +5,28 @@ from numpy.typing import NDArray
 
 from companion.compiled import compiled, inlined
 from companion.messages import FloatArray
-from companion.perception.odometry.voxel_kernels import gather
+from companion.perception.odometry.plane_kernels import fit_plane
+from companion.perception.odometry.voxel_kernels import FOUND_WIDTH, gather
 
-PLANE_WIDTH = 6  # normal, offset, variance of the plane at the point, level (0 fine, 1 coarse, -1 none)
-
-
-@inlined
-def smallest_eigenvector(
-    xx: float, xy: float, xz: float, yy: float, yz: float, zz: float, result: FloatArray
-) -> None:
-    """Decompose a symmetric 3x3 matrix.
-
-    Source: O. Smith, "Eigenvalues of a symmetric 3 x 3 matrix", CACM 4(4), 1961.
-
-    Args:
-        xx: entry (0, 0).
-        xy: entry (0, 1).
-        xz: entry (0, 2).
-        yy: entry (1, 1).
-        yz: entry (1, 2).
-        zz: entry (2, 2).
-        result: (6,) receives the unit eigenvector of the smallest eigenvalue, then the eigenvalues
-            ascending; a zero vector where the smallest is not unique.
-    """
-    mean = (xx + yy + zz) / 3.0
-    a, b, c = xx - mean, yy - mean, zz - mean
-    p2 = (a * a + b * b + c * c + 2.0 * (xy * xy + xz * xz + yz * yz)) / 6.0
-    p = np.sqrt(p2)
-    result[0], result[1], result[2] = 0.0, 0.0, 0.0
-    result[3], result[4], result[5] = mean, mean, mean
-    if not p > 1e-12:
-        return
-    determinant = a * (b * c - yz * yz) - xy * (xy * c - yz * xz) + xz * (xy * yz - b * xz)
-    cosine = min(1.0, max(-1.0, determinant / (2.0 * p * p2)))
-    angle = np.arccos(cosine) / 3.0
-    high = mean + 2.0 * p * np.cos(angle)
-    low = mean + 2.0 * p * np.cos(angle + 2.0943951023931953)
-    result[3], result[4], result[5] = low, 3.0 * mean - high - low, high
-    # Columns of (A - low I) span the other two eigenvectors: their cross products give the third.
-    a, b, c = xx - low, yy - low, zz - low
-    x0, y0, z0 = xy * yz - xz * b, xz * xy - a * yz, a * b - xy * xy
-    x1, y1, z1 = xy * c - xz * yz, xz * xz - a * c, a * yz - xy * xz
-    x2, y2, z2 = b * c - yz * yz, yz * xz - xy * c, xy * yz - b * xz
-    n0, n1, n2 = x0 * x0 + y0 * y0 + z0 * z0, x1 * x1 + y1 * y1 + z1 * z1, x2 * x2 + y2 * y2 + z2 * z2
-    if n0 >= n1 and n0 >= n2:
-        x, y, z, square = x0, y0, z0, n0
-    elif n1 >= n2:
-        x, y, z, square = x1, y1, z1, n1
-    else:
-        x, y, z, square = x2, y2, z2, n2
-    if square > 0.0:
-        scale = 1.0 / np.sqrt(square)
-        result[0], result[1], result[2] = x * scale, y * scale, z * scale
+PLANE_WIDTH = 8
+"""Normal, offset, variance of the plane at the point, level (0 fine, 1 coarse, -1 none), when its place
+in the map was first seen, and the weight that its residual received."""
 
 
 @inlined
-def fit_plane(found: FloatArray, count: int, radius_m: float, eigen: FloatArray, plane: FloatArray) -> bool:
-    """Fit a plane to fused points around the origin, nearer and better settled ones counting more.
-
-    Args:
-        found: (>= count, 5) offsets, numbers of points and squared distances.
-        count: how many.
-        radius_m: distance at which a point's weight reaches zero.
-        eigen: (6,) scratch.
-        plane: (6,) receives normal, its product with the centroid's offset, and in place 4 the
-            variance of the plane at the origin.
-
-    Returns:
-        Whether the points determine a plane.
-    """
-    inverse = 1.0 / (radius_m * radius_m)
-    total, squares = 0.0, 0.0
-    cx, cy, cz = 0.0, 0.0, 0.0
-    for i in range(count):
-        weight = (1.0 - found[i, 4] * inverse) * found[i, 3] / (found[i, 3] + 4.0)
-        found[i, 3] = weight
-        total += weight
-        squares += weight * weight
-        cx += weight * found[i, 0]
-        cy += weight * found[i, 1]
-        cz += weight * found[i, 2]
-    if not total > 1e-6:
-        return False
-    cx, cy, cz = cx / total, cy / total, cz / total
-    xx, xy, xz, yy, yz, zz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for i in range(count):
-        dx, dy, dz = found[i, 0] - cx, found[i, 1] - cy, found[i, 2] - cz
-        weight = found[i, 3] / total
-        xx += weight * dx * dx
-        xy += weight * dx * dy
-        xz += weight * dx * dz
-        yy += weight * dy * dy
-        yz += weight * dy * dz
-        zz += weight * dz * dz
-    smallest_eigenvector(xx, xy, xz, yy, yz, zz, eigen)
-    low, middle, high = max(eigen[3], 0.0), eigen[4], eigen[5]
-    # A line, or a blob, is no plane.
-    if middle < 0.08 * high or low > 0.2 * middle:
-        return False
-    nx, ny, nz = eigen[0], eigen[1], eigen[2]
-    effective = total * total / squares
-    distance = nx * cx + ny * cy + nz * cz
-    lever = cx * cx + cy * cy + cz * cz - distance * distance
-    plane[0], plane[1], plane[2], plane[3] = nx, ny, nz, -distance
-    plane[4] = low * (1.0 + lever / middle) * (1.0 / max(effective - 2.0, 1.0))
-    plane[5] = low
-    return True
+def _birth(found: FloatArray, count: int, born: NDArray[np.int64]) -> int:
+    """Return when the block of the nearest point was first seen."""
+    nearest = 0
+    for i in range(1, count):
+        if found[i, 4] < found[nearest, 4]:
+            nearest = i
+    return int(born[int(found[nearest, 5])])
 
 
 @compiled(
-    "int64(float64[:,::1], int64[::1], float64[::1], int64[::1], int32[::1], float32[:,:,::1], float64,"
-    " int64[::1], int32[::1], float32[:,:,::1], float64, float64, boolean, float64[:,::1])"
+    "int64(float64[:,::1], int64[::1], float64[::1],"
+    " int64[::1], int32[::1], int64[::1], float32[:,:,::1], float64,"
+    " int64[::1], int32[::1], int64[::1], float32[:,:,::1], float64, float64, boolean, float64[:,::1])"
 )
 def find_planes(
     points_imu: FloatArray,
@@ -123,10 +34,12 @@ def find_planes(
     pose: FloatArray,
     fine_keys: NDArray[np.int64],
     fine_blocks: NDArray[np.int32],
+    fine_born: NDArray[np.int64],
     fine_cells: NDArray[np.float32],
     fine_cell_m: float,
     coarse_keys: NDArray[np.int64],
     coarse_blocks: NDArray[np.int32],
+    coarse_born: NDArray[np.int64],
     coarse_cells: NDArray[np.float32],
     coarse_cell_m: float,
     thickness_m: float,
@@ -141,21 +54,24 @@ def find_planes(
         pose: (>= 12,) p_map, then R_map_imu by rows.
         fine_keys: table of the fine map, see `voxel_kernels.insert`.
         fine_blocks: its blocks.
+        fine_born: when its blocks were first seen.
         fine_cells: its cells.
         fine_cell_m: edge of its cells.
         coarse_keys: table of the coarse map.
         coarse_blocks: its blocks.
+        coarse_born: when its blocks were first seen.
         coarse_cells: its cells.
         coarse_cell_m: edge of its cells.
         thickness_m: largest standard deviation of map points from their plane.
         use_fine: whether to look into the fine map at all.
-        planes: (>= m, 6) receives normal n and offset d (n . p_map + d = 0), the plane's variance,
-            and the level it came from: 0 fine, 1 coarse, -1 none.
+        planes: (>= m, 8) receives normal n and offset d (n . p_map + d = 0), the plane's variance, the
+            level it came from (0 fine, 1 coarse, -1 none), and when the block of its nearest point was
+            first seen.
 
     Returns:
         The number of planes found.
     """
-    found = np.zeros((27, 5))
+    found = np.zeros((27, FOUND_WIDTH))
     eigen = np.zeros(6)
     total = 0
     for m in range(chosen.shape[0]):
@@ -172,11 +88,13 @@ def find_planes(
             count = gather(fine_keys, fine_blocks, fine_cells, fine_cell_m, radius, x, y, z, found)
         if count >= 5 and fit_plane(found, count, radius, eigen, plane) and plane[5] < thickness_m**2:
             level = 0
+            plane[6] = _birth(found, count, fine_born)
         else:
             radius = 1.5 * coarse_cell_m
             count = gather(coarse_keys, coarse_blocks, coarse_cells, coarse_cell_m, radius, x, y, z, found)
             if count >= 5 and fit_plane(found, count, radius, eigen, plane) and plane[5] < thickness_m**2:
                 level = 1
+                plane[6] = _birth(found, count, coarse_born)
         plane[5] = level
         if level >= 0:
             plane[3] -= plane[0] * x + plane[1] * y + plane[2] * z
@@ -210,7 +128,7 @@ def accumulate(
     Args:
         points_imu: (n, 3) metres.
         chosen: (m,) indices into `points_imu`.
-        planes: (>= m, 6) as from `find_planes`.
+        planes: (>= m, 8) as from `find_planes`; receives each residual's weight, 0 where it was not used.
         pose: (>= 12,) p_map, then R_map_imu by rows.
         pose_covariance: (6, 6) of the prediction, for the gate.
         range_variance: m^2.
@@ -230,6 +148,7 @@ def accumulate(
     h = np.zeros(6)
     used = 0
     for m in range(chosen.shape[0]):
+        planes[m, 7] = 0.0
         if planes[m, 5] < 0.0:
             continue
         i = chosen[m]
@@ -257,6 +176,7 @@ def accumulate(
             continue
         normalised = residual * residual / variance
         weight = 1.0 / (variance * (1.0 + normalised / 4.0))
+        planes[m, 7] = weight
         for r in range(6):
             weighted = weight * h[r]
             gradient[r] -= weighted * residual
@@ -271,3 +191,63 @@ def accumulate(
         for c in range(r):
             information[c, r] = information[r, c]
     return used
+
+
+@compiled(
+    "void(float64[:,::1], int64[::1], float64[:,::1], float64[::1], int64[::1], int64, float64[:,:,::1],"
+    " float64[::1])"
+)
+def share_by_birth(
+    points_imu: FloatArray,
+    chosen: NDArray[np.int64],
+    planes: FloatArray,
+    pose: FloatArray,
+    starts: NDArray[np.int64],
+    count: int,
+    information: FloatArray,
+    weights: FloatArray,
+) -> None:
+    """Split the information of the residuals by when their planes were first seen.
+
+    Args:
+        points_imu: (n, 3) metres.
+        chosen: (m,) indices into `points_imu`.
+        planes: (>= m, 8) as `accumulate` left them.
+        pose: (>= 12,) p_map, then R_map_imu by rows.
+        starts: (>= count,) first birth of each period, ascending; all births lie after the first.
+        count: number of periods.
+        information: (>= count, 6, 6) receives H' W H of each period.
+        weights: (>= count,) receives the sum of weights of each period.
+    """
+    information[:count] = 0.0
+    weights[:count] = 0.0
+    h = np.zeros(6)
+    for m in range(chosen.shape[0]):
+        weight = planes[m, 7]
+        if weight == 0.0:
+            continue
+        low, high = 0, count
+        while high - low > 1:
+            middle = (low + high) >> 1
+            if starts[middle] <= planes[m, 6]:
+                low = middle
+            else:
+                high = middle
+        i = chosen[m]
+        x, y, z = points_imu[i, 0], points_imu[i, 1], points_imu[i, 2]
+        nx, ny, nz = planes[m, 0], planes[m, 1], planes[m, 2]
+        bx = pose[3] * nx + pose[6] * ny + pose[9] * nz
+        by = pose[4] * nx + pose[7] * ny + pose[10] * nz
+        bz = pose[5] * nx + pose[8] * ny + pose[11] * nz
+        h[0], h[1], h[2] = nx, ny, nz
+        h[3], h[4], h[5] = y * bz - z * by, z * bx - x * bz, x * by - y * bx
+        part = information[low]
+        for r in range(6):
+            weighted = weight * h[r]
+            for c in range(r + 1):
+                part[r, c] += weighted * h[c]
+        weights[low] += weight
+    for k in range(count):
+        for r in range(6):
+            for c in range(r):
+                information[k, c, r] = information[k, r, c]

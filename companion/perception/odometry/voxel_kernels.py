@@ -14,6 +14,8 @@ from companion.compiled import compiled, inlined
 from companion.messages import FloatArray
 
 EMPTY = -1
+FOUND_WIDTH = 6
+"""Of `gather`: offset from the place, number of points, squared distance, block."""
 _OFFSET = 1 << 20  # makes packed coordinates positive
 _MULTIPLIER = -7046029254386353131  # 2^64 / golden ratio, as a signed number
 
@@ -83,14 +85,15 @@ def evict(
 
 
 @compiled(
-    "void(int64[::1], int32[::1], int64[::1], int64[::1], float32[:,:,::1], int32[::1], int64[::1],"
-    " float64[:,::1], float64[::1], float64, float64, int64, int64)"
+    "void(int64[::1], int32[::1], int64[::1], int64[::1], int64[::1], float32[:,:,::1], int32[::1],"
+    " int64[::1], float64[:,::1], float64[::1], float64, float64, int64, int64)"
 )
 def insert(
     table_keys: NDArray[np.int64],
     table_blocks: NDArray[np.int32],
     block_keys: NDArray[np.int64],
     block_seen: NDArray[np.int64],
+    block_born: NDArray[np.int64],
     cells: NDArray[np.float32],
     free: NDArray[np.int32],
     control: NDArray[np.int64],
@@ -108,6 +111,7 @@ def insert(
         table_blocks: (t,) their places in the pool.
         block_keys: (m,) key of each block of the pool.
         block_seen: (m,) last stamp of each block.
+        block_born: (m,) first stamp of each block.
         cells: (m, 8, 4) mean x, y, z and number of points.
         free: (m,) stack of unused blocks.
         control: (3,) see the module.
@@ -153,6 +157,7 @@ def insert(
             table_keys[slot] = key
             table_blocks[slot] = block
             block_keys[block] = key
+            block_born[block] = stamp
             cells[block] = 0.0
         block_seen[block] = stamp
         cell = cells[block, (ix & 1) | ((iy & 1) << 1) | ((iz & 1) << 2)]
@@ -231,8 +236,8 @@ def gather(
         x: of the place in the map.
         y: of the place.
         z: of the place.
-        found: (27, 5) receives the offset from the place, the number of points and the squared
-            distance.
+        found: (27, 6) receives the offset from the place, the number of points, the squared distance
+            and the block.
 
     Returns:
         How many were found.
@@ -271,5 +276,6 @@ def gather(
                         found[count, 2] = dz
                         found[count, 3] = weight
                         found[count, 4] = square
+                        found[count, 5] = block
                         count += 1
     return count

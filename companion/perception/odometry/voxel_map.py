@@ -32,6 +32,7 @@ class VoxelMap:
         self.table_blocks = np.empty(table, dtype=np.int32)
         self.block_keys = np.empty(blocks, dtype=np.int64)
         self.block_seen = np.empty(blocks, dtype=np.int64)
+        self.block_born = np.empty(blocks, dtype=np.int64)
         self.cells = np.zeros((blocks, 8, 4), dtype=np.float32)
         self.free = np.empty(blocks, dtype=np.int32)
         self.control = np.zeros(3, dtype=np.int64)
@@ -44,9 +45,15 @@ class VoxelMap:
         self.table_keys.fill(voxel_kernels.EMPTY)
         self.block_keys.fill(voxel_kernels.EMPTY)
         self.block_seen.fill(0)
+        self.block_born.fill(0)
         self.free[:] = np.arange(blocks - 1, -1, -1, dtype=np.int32)
         self.control[:] = (blocks, 0, 0)
         self._stamp = 0
+
+    @property
+    def stamp(self) -> int:
+        """Number of insertions so far; blocks that the next one makes are born with one more."""
+        return self._stamp
 
     @property
     def blocks(self) -> int:
@@ -67,6 +74,7 @@ class VoxelMap:
             self.table_blocks,
             self.block_keys,
             self.block_seen,
+            self.block_born,
             self.cells,
             self.free,
             self.control,

@@ -16,7 +16,7 @@ def _means(points: FloatArray, cell_m: float) -> dict[tuple[int, ...], FloatArra
 
 
 def _gather(voxels: VoxelMap, place: FloatArray, radius_m: float) -> FloatArray:
-    found = np.zeros((27, 5))
+    found = np.zeros((27, voxel_kernels.FOUND_WIDTH))
     count = voxel_kernels.gather(
         voxels.table_keys,
         voxels.table_blocks,
