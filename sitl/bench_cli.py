@@ -46,9 +46,7 @@ def odometry(
     seed: Annotated[int, typer.Option(min=0, help="Of world and noise.")] = 1,
     recording: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FILE", help="A recorded flight instead: PCAP, LVX2, ROS bag, flight log."
-        ),
+        typer.Option(metavar="FILE", help="A recorded flight instead: PCAP, LVX2, ROS bag, flight log."),
     ] = None,
     truth: Annotated[
         Path | None,
@@ -56,9 +54,7 @@ def odometry(
     ] = None,
     profile: Annotated[
         Path | None,
-        typer.Option(
-            metavar="YAML", help="Mount and settings; without it the body is the LiDAR."
-        ),
+        typer.Option(metavar="YAML", help="Mount and settings; without it the body is the LiDAR."),
     ] = None,
     out: Annotated[Path, typer.Option(help="Folder for results.json, table.md and odometry.html.")] = Path(
         "runs/bench"

@@ -16,7 +16,7 @@ from sitl.bench.courses import hall as hall
 from sitl.kinematics import BodyTrajectory, Kinematics
 from sitl.sensors.imu import ImuModel, ImuSettings
 from sitl.sensors.mid360 import Mid360Model, Mid360Settings
-from sitl.slots import SLOT_PERIOD_NS, SLOTS_PER_PACKET
+from sitl.slots import SLOT_PERIOD_NS, SLOTS_PER_PACKET, InertialSlot, PointSlots
 
 T_BODY_LIDAR = Pose.of([0.06, 0.0, 0.08], rotation.IDENTITY)
 T_LIDAR_IMU = Pose.of([0.011, 0.02329, -0.04412], rotation.IDENTITY)
@@ -35,11 +35,14 @@ class FlightStep:
         truth: the body's motion then.
         events: what the sensors reported during the step, in order of arrival; none in the first step,
             which only tells where the flight begins.
+        slots, sample: the same as the sensor's protocol carries it; none in the first step.
     """
 
     t_sensor_ns: int
     truth: Kinematics
     events: tuple[ImuSample | LidarScan, ...]
+    slots: PointSlots | None = None
+    sample: InertialSlot | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +108,7 @@ def stream(
             settings=course.vehicle,
         )
         start, end = state.kinematics(0), after.kinematics(0)
-        slot = imu_model.sample(start_ns, start, end_ns, end, float(after.thrust[0]))
+        inertial = imu_model.sample(start_ns, start, end_ns, end, float(after.thrust[0]))
         slots = lidar_model.measure(
             index * _SLOTS_PER_STEP,
             _SLOTS_PER_STEP,
@@ -113,12 +116,12 @@ def stream(
             course.world,
         )
         pieces.append((start_ns, slots.points_lidar, slots.reflectivity, slots.tags))
-        sample = ImuSample(end_ns + CLOCK_OFFSET_NS, end_ns, slot.gyro_imu, slot.accel_imu)
+        sample = ImuSample(end_ns + CLOCK_OFFSET_NS, end_ns, inertial.gyro_imu, inertial.accel_imu)
         events: tuple[ImuSample | LidarScan, ...] = (sample,)
         if end_ns % SCAN_NS == 0:
             events = (sample, _cut(pieces, sequence, end_ns))
             pieces, sequence = [], sequence + 1
-        yield FlightStep(end_ns, end, events)
+        yield FlightStep(end_ns, end, events, slots, inertial)
         state = after
 
 
