@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 
+from companion.clock import NANOSECONDS_PER_SECOND
 from companion.logs import channels
 from companion.logs.channels import Channel
 from companion.logs.records import (
@@ -85,6 +86,23 @@ def cloud_of(scan: RegisteredScan, points_max: int) -> CloudView:
     """Return every k-th point of a registered scan, at most `points_max`."""
     step = max(1, -(-len(scan.points_map) // points_max))
     return CloudView(scan.t_ns, scan.points_map[::step].copy(), scan.reflectivity[::step].copy())
+
+
+class CloudSampler:
+    """Chooses which registered scans are kept as clouds, and how much of them."""
+
+    def __init__(self, rate_hz: float, points_max: int) -> None:
+        """Keep at most `rate_hz` clouds a second, of at most `points_max` points."""
+        self._period_ns = round(NANOSECONDS_PER_SECOND / rate_hz)
+        self._points_max = points_max
+        self._next_ns: int | None = None
+
+    def take(self, scan: RegisteredScan, t_ns: int) -> CloudView | None:
+        """Return the cloud of a scan handled at host time `t_ns`, None if it comes too soon."""
+        if self._next_ns is not None and t_ns < self._next_ns:
+            return None
+        self._next_ns = t_ns + self._period_ns
+        return cloud_of(scan, self._points_max)
 
 
 def summary_of(scan: LidarScan) -> FrameSummary:

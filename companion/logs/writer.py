@@ -9,14 +9,14 @@ import numpy as np
 import structlog
 from pydantic import Field
 
-from companion.clock import NANOSECONDS_PER_SECOND, Clock, SystemClock
+from companion.clock import Clock, SystemClock
 from companion.logs import channels
 from companion.logs.channels import Channel
 from companion.logs.log_file import FLUSH_PERIOD_NS, LogFile, LogState
 from companion.logs.log_queue import LogEntry, LogQueue
 from companion.logs.metadata import FlightMetadata
 from companion.logs.records import CloudView, Statistics
-from companion.logs.views import Recordable, cloud_of, views_of
+from companion.logs.views import CloudSampler, Recordable, views_of
 from companion.messages import Datagram, RegisteredScan
 from companion.settings import Settings
 
@@ -132,8 +132,7 @@ class FlightLog:
         self._lock = threading.RLock()
         self._batch: list[Datagram] = []
         self._batch_span_ns = round(settings.batch_ms * 1e6)
-        self._cloud_period_ns = round(NANOSECONDS_PER_SECOND / settings.cloud_rate_hz)
-        self._next_cloud_ns: int | None = None
+        self._clouds = CloudSampler(settings.cloud_rate_hz, settings.cloud_points)
         self._flushed_ns: int | None = None
         self._disk_low = False
         self._unencodable = 0
@@ -175,8 +174,10 @@ class FlightLog:
             return
         for channel, view in views_of(message):
             self.write(channel, view, t_ns)
-        if isinstance(message, RegisteredScan) and self._cloud_due(t_ns):
-            self.write(channels.CLOUD, cloud_of(message, self._settings.cloud_points), t_ns)
+        if isinstance(message, RegisteredScan) and channels.CLOUD.topic not in self._off:
+            cloud = self._clouds.take(message, t_ns)
+            if cloud is not None:
+                self.write(channels.CLOUD, cloud, t_ns)
 
     def write(self, channel: Channel, message: object, t_ns: int) -> None:
         """Record a message on one channel.
@@ -240,14 +241,6 @@ class FlightLog:
         if self._batch:
             batch, self._batch = tuple(self._batch), []
             self._hand_over(channels.LIDAR_PACKETS, batch, t_ns)
-
-    def _cloud_due(self, t_ns: int) -> bool:
-        if channels.CLOUD.topic in self._off:
-            return False
-        if self._next_cloud_ns is not None and t_ns < self._next_cloud_ns:
-            return False
-        self._next_cloud_ns = t_ns + self._cloud_period_ns
-        return True
 
     def _hand_over(self, channel: Channel, message: object, t_ns: int) -> None:
         sequence = self._sequences[channel.topic]
