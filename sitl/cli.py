@@ -184,6 +184,36 @@ def px4(
 def schema(json_output: AsJson = False) -> None:
     """Print the JSON schema of scenarios, for editors."""
 
+@app.command(epilog="Example: sitl convert runs/last/flight.mcap flight.bag --to rosbag1 --truth flight.tum")
+def convert(
+    recording: Annotated[Path, typer.Argument(help="Flight log, network capture or LVX2 file.")],
+    out: Annotated[Path, typer.Argument(help="File to write (a folder for ROS 2); must not exist.")],
+    to: Annotated[
+        Literal["pcap", "pcapng", "lvx2", "rosbag1", "rosbag2", "rosbag2-mcap"],
+        typer.Option(help="Format to write."),
+    ],
+    stamps: Annotated[
+        Literal["sensor", "host"],
+        typer.Option(help="In bags: the sensor's time, or when the driver received each packet."),
+    ] = "sensor",
+    truth: Annotated[
+        Path | None, typer.Option(metavar="TUM", help="Write the true motion of an emulated flight here.")
+    ] = None,
+    json_output: AsJson = False,
+) -> None:
+    """Write the LiDAR's packets of a flight in a format that other programs read."""
+
+    def body() -> tuple[Result, ExitCode]:
+        from sitl.recording_writers.conversion import convert as write
+
+        result = write(recording, out, to, stamps=stamps, truth=truth)
+        if not json_output:
+            print(f"{out}: {result['packets']} packets of {result['sensor']}")
+        return result, ExitCode.OK
+
+    conclude(body, json_output)
+
+
     def body() -> tuple[Result, ExitCode]:
         from sitl.scenario import json_schema, schema_text
 

@@ -94,10 +94,7 @@ class BagContainer:
         except (LogError, GeneratorExit):
             raise
         except Exception as error:
-            text = " ".join(str(error).split()) or "no reason given"
-            raise LogError(
-                f"{self._path}: cannot be read as a {self.kind}: {type(error).__name__}: {text}"
-            ) from error
+            raise LogError(f"{self._path}: cannot be read as a {self.kind}: {_reason(error)}") from error
         finally:
             if reader is not None:
                 _close(reader)
@@ -114,6 +111,12 @@ def _reader(path: Path, storage: Storage) -> Any:
         return rosbag1.Reader(path)
     # The library would choose by the file's name; the file's content has been looked at already.
     return rosbag2.Reader.STORAGE_PLUGINS[storage](path)
+
+
+def _reason(error: Exception) -> str:
+    if isinstance(error, MemoryError | OverflowError):
+        return "a length in it is impossible"
+    return f"{type(error).__name__}: {' '.join(str(error).split())}"
 
 
 def _close(reader: Any) -> None:

@@ -69,6 +69,22 @@ class PacketRecording:
         """The format."""
         return self._source.kind
 
+    @property
+    def lidar_ip(self) -> str:
+        """Address of the sensor that is read."""
+        return self._lidar_ip
+
+    def datagrams(self) -> Iterator[Datagram]:
+        """Yield the sensor's data packets as they arrived, from the beginning.
+
+        Raises:
+            LogError: where the file is cut or damaged, after everything before that was yielded.
+            OSError: if reading the disk fails.
+        """
+        for datagram in self._source.datagrams():
+            if datagram.source[0] == self._lidar_ip and datagram.source[1] in self._data_ports:
+                yield datagram
+
     def events(self) -> Iterator[SensorEvent]:
         """Yield samples and scans in the order in which they arrived.
 

@@ -24,6 +24,8 @@ FIELDS_MAX = 64
 # Offsets count within a frame, and frames of drivers are at most a second long.
 OFFSET_MAX_NS = NANOSECONDS_PER_SECOND
 STAMPS_AGREE_NS = 10_000_000
+INERTIAL_MAX = 1e6
+"""Beyond any unit's reading of rates and accelerations."""
 _TIME_MAX_S = 4e9
 _FAR_POINT = "a point more than a second from its frame's begin"
 
@@ -201,7 +203,7 @@ def decode_inertial(data: bytes, *, cdr: bool) -> RosInertial:
         cdr: whether ROS 2 serialised it.
 
     Raises:
-        ValueError: if the bytes are no such message or a value is not finite.
+        ValueError: if the bytes are no such message or a value is impossible.
     """
     cursor = _Cursor(data, cdr=cdr)
     header_ns = cursor.header_ns()
@@ -209,8 +211,8 @@ def decode_inertial(data: bytes, *, cdr: bool) -> RosInertial:
     values = np.array(struct.unpack_from("<37d", data, start))
     # Attitude and its covariance fill the first 13 numbers; each vector is followed by its own covariance.
     gyro, accel = values[13:16], values[25:28]
-    if not np.isfinite([gyro, accel]).all():
-        raise ValueError("an inertial message that is not finite")
+    if not float(np.abs([gyro, accel]).max()) <= INERTIAL_MAX:
+        raise ValueError("an inertial message with impossible values")
     return RosInertial(header_ns, gyro.copy(), accel.copy())
 
 
