@@ -180,10 +180,6 @@ def px4(
     conclude(body, json_output)
 
 
-@app.command(epilog="Example: sitl schema > field_configs/scenario.schema.json")
-def schema(json_output: AsJson = False) -> None:
-    """Print the JSON schema of scenarios, for editors."""
-
 @app.command(epilog="Example: sitl convert runs/last/flight.mcap flight.bag --to rosbag1 --truth flight.tum")
 def convert(
     recording: Annotated[Path, typer.Argument(help="Flight log, network capture or LVX2 file.")],
@@ -213,6 +209,10 @@ def convert(
 
     conclude(body, json_output)
 
+
+@app.command(epilog="Example: sitl schema > field_configs/scenario.schema.json")
+def schema(json_output: AsJson = False) -> None:
+    """Print the JSON schema of scenarios, for editors."""
 
     def body() -> tuple[Result, ExitCode]:
         from sitl.scenario import json_schema, schema_text
