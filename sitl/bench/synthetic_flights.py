@@ -96,7 +96,7 @@ def stream(
         np.array([[course.half_axes_m[0], 0.0, 0.0]]), np.array([0.4]), settings=course.vehicle
     )
     yield FlightStep(0, state.kinematics(0), ())
-    pieces: list[tuple[int, FloatArray, NDArray[np.uint8], NDArray[np.uint8]]] = []
+    pieces: list[PointSlots] = []
     sequence = 0
     for index in range(round(duration_s / dynamics.STEP_S)):
         start_ns, end_ns = index * dynamics.STEP_NS, (index + 1) * dynamics.STEP_NS
@@ -115,11 +115,11 @@ def stream(
             BodyTrajectory.between(start_ns, start, end_ns, end),
             course.world,
         )
-        pieces.append((start_ns, slots.points_lidar, slots.reflectivity, slots.tags))
+        pieces.append(slots)
         sample = ImuSample(end_ns + CLOCK_OFFSET_NS, end_ns, inertial.gyro_imu, inertial.accel_imu)
         events: tuple[ImuSample | LidarScan, ...] = (sample,)
         if end_ns % SCAN_NS == 0:
-            events = (sample, _cut(pieces, sequence, end_ns))
+            events = (sample, cut_scan(pieces, sequence, end_ns))
             pieces, sequence = [], sequence + 1
         yield FlightStep(end_ns, end, events, slots, inertial)
         state = after
@@ -160,10 +160,9 @@ def _command(course: Course, state: dynamics.QuadrotorState, t: float) -> dynami
     return dynamics.QuadrotorCommand(v[None, :], np.array([yaw_rate]), np.array([t > _REST_S - 0.3]))
 
 
-def _cut(
-    pieces: list[tuple[int, FloatArray, NDArray[np.uint8], NDArray[np.uint8]]], sequence: int, end_ns: int
-) -> LidarScan:
-    points = np.concatenate([piece[1] for piece in pieces])
+def cut_scan(pieces: list[PointSlots], sequence: int, end_ns: int) -> LidarScan:
+    """Return the scan that ends at this sensor time, made of the slots of its steps."""
+    points = np.concatenate([piece.points_lidar for piece in pieces])
     hit = np.any(points != 0.0, axis=1)
     packets = -(-len(points) // SLOTS_PER_PACKET)
     return LidarScan(
@@ -174,8 +173,8 @@ def _cut(
         clock_offset_ns=CLOCK_OFFSET_NS,
         points_lidar=points[hit].astype(np.float32),
         offsets_ns=(np.arange(len(points), dtype=np.int64) * SLOT_PERIOD_NS)[hit].astype(np.int32),
-        reflectivity=np.concatenate([piece[2] for piece in pieces])[hit],
-        tags=np.concatenate([piece[3] for piece in pieces])[hit],
+        reflectivity=np.concatenate([piece.reflectivity for piece in pieces])[hit],
+        tags=np.concatenate([piece.tags for piece in pieces])[hit],
         packets=packets,
         packets_expected=packets,
     )

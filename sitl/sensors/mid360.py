@@ -9,9 +9,11 @@ and the fall of reflectivity with incidence (Lambert's cosine) are assumptions.
 """
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.random import Generator
+from numpy.typing import NDArray
 from pydantic import Field
 
 from companion.geometry import rotation
@@ -79,6 +81,21 @@ class Mid360Settings(Settings):
         return parameters
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Observation:
+    """What the sensor reported, and what only a simulation knows about it.
+
+    Attributes:
+        slots: the report.
+        aimed: (n,) primitive in the axis of each beam, -1 for none.
+        sources: (n,) primitive that each return came from, -1 without a true return.
+    """
+
+    slots: PointSlots
+    aimed: NDArray[np.int32]
+    sources: NDArray[np.int32]
+
+
 class Mid360Model:
     """One simulated unit, mounted on a body."""
 
@@ -93,6 +110,10 @@ class Mid360Model:
         self._next_slot = 0
 
     def measure(self, first_slot: int, count: int, trajectory: BodyTrajectory, world: World) -> PointSlots:
+        """Return the report alone; see `observe`."""
+        return self.observe(first_slot, count, trajectory, world).slots
+
+    def observe(self, first_slot: int, count: int, trajectory: BodyTrajectory, world: World) -> Observation:
         """Measure consecutive slots while the body moves.
 
         The four slots of a firing are taken at its instant, ``(slot // 4) * 20 us`` of sensor time. What
@@ -136,13 +157,14 @@ class Mid360Model:
         slots = PointSlots(
             first_slot, np.empty((count, 3)), np.empty(count, np.uint8), np.empty(count, np.uint8)
         )
+        sources = np.empty(count, np.int32)
         kernels.form_returns(
             self._seed, first_slot, self._parameters, directions_lidar,
             hits.ranges, hits.indices, hits.cosines, rim_hits.ranges, rim_hits.indices, rim_hits.cosines,
             world.reflectivity, world.retro_reflective, self._blanked,
-            slots.points_lidar, slots.reflectivity, slots.tags,
+            slots.points_lidar, slots.reflectivity, slots.tags, sources,
         )  # fmt: skip
-        return slots
+        return Observation(slots, hits.indices, sources)
 
     def _check_covered(self, first_slot: int, count: int, trajectory: BodyTrajectory) -> None:
         if first_slot < 0 or count < 1:

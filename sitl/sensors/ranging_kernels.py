@@ -222,7 +222,7 @@ def _turned(x: float, y: float, z: float, left: float, up: float) -> tuple[float
 @compiled(
     "void(int64, int64, float64[::1], float64[:, ::1], float64[::1], int32[::1], float64[::1], "
     "float64[::1], int32[::1], float64[::1], float64[::1], uint8[::1], uint8[::1], float64[:, ::1], "
-    "uint8[::1], uint8[::1])"
+    "uint8[::1], uint8[::1], int32[::1])"
 )
 def form_returns(
     seed: int,
@@ -241,6 +241,7 @@ def form_returns(
     points_lidar: FloatArray,
     reflectivity: ByteArray,
     tags: ByteArray,
+    sources: np.ndarray[tuple[int], np.dtype[np.int32]],
 ) -> None:
     """Turn hits into reported slots.
 
@@ -261,12 +262,13 @@ def form_returns(
         points_lidar: (n, 3) out, zero without a return.
         reflectivity: (n,) out.
         tags: (n,) out.
+        sources: (n,) out, primitive that each return came from, -1 without one.
     """
     for i in range(ranges.shape[0]):
         slot = first_slot + i
         line = slot % LINES
         points_lidar[i, 0], points_lidar[i, 1], points_lidar[i, 2] = 0.0, 0.0, 0.0
-        reflectivity[i], tags[i] = 0, 0
+        reflectivity[i], tags[i], sources[i] = 0, 0, -1
         if blanked[line]:
             blanked[line] = 0
             continue
@@ -318,6 +320,7 @@ def form_returns(
         if spurious:
             tags[i], reflectivity[i] = 32, int(min(abs(3.0 * shade) + 1.0, 20.0))
         else:
+            sources[i] = hit
             distance += parameters[RANGE_NOISE_SCALE] * range_sigma(distance, cosine) * along
             distance = max(distance, parameters[MIN_RANGE_M])
             if tag == 0:

@@ -6,6 +6,7 @@ import numpy as np
 
 from companion.compiled import compiled, inlined
 from companion.messages import FloatArray
+from sitl.worlds.casting_kernels import into_body
 from sitl.worlds.raycast_kernels import BOX, CAPSULE, PLANE, SPHERE
 
 
@@ -43,41 +44,58 @@ def nearest_primitive(
     kinds: np.ndarray[tuple[int], np.dtype[np.int32]],
     rows: FloatArray,
     discs: FloatArray,
+    bodies: np.ndarray[tuple[int, int], np.dtype[np.int32]],
+    poses: FloatArray,
     px: float,
     py: float,
     pz: float,
 ) -> tuple[float, int]:
     """Return (signed distance, index) of the nearest primitive; (infinity, -1) in an empty world."""
     best, nearest = math.inf, -1
-    for k in range(kinds.shape[0]):
+    for k in range(discs.shape[0]):
         x, y, bound = discs[k, 0] - px, discs[k, 1] - py, discs[k, 2] + max(best, 0.0)
         if best > 0.0 and x * x + y * y > bound * bound:
             continue  # its whole enclosing cylinder is farther away than the nearest so far
         distance = distance_to_primitive(kinds[k], rows[k], px, py, pz)
         if distance < best:
             best, nearest = distance, k
+    for b in range(bodies.shape[0]):
+        x, y, z = px - poses[b, 0], py - poses[b, 1], pz - poses[b, 2]
+        bound = poses[b, 7] + max(best, 0.0)
+        if best > 0.0 and x * x + y * y + z * z > bound * bound:
+            continue
+        x, y, z = into_body(poses[b], x, y, z)
+        for part in range(bodies[b, 0], bodies[b, 1]):
+            distance = distance_to_primitive(kinds[part], rows[part], x, y, z)
+            if distance < best:
+                best, nearest = distance, part
     return best, nearest
 
 
-@compiled("void(float64[:, ::1], int32[::1], float64[:, ::1], float64[:, ::1], float64[::1], int32[::1])")
+@compiled(
+    "void(float64[:, ::1], int32[::1], float64[:, ::1], float64[:, ::1], int32[:, ::1], float64[:, ::1], "
+    "float64[::1], int32[::1])"
+)
 def measure_clearances(
     points: FloatArray,
     kinds: np.ndarray[tuple[int], np.dtype[np.int32]],
     rows: FloatArray,
     discs: FloatArray,
+    bodies: np.ndarray[tuple[int, int], np.dtype[np.int32]],
+    poses: FloatArray,
     distances: FloatArray,
     indices: np.ndarray[tuple[int], np.dtype[np.int32]],
 ) -> None:
     """Write the signed distance (n,) and index (n,) of the primitive nearest to each point (n, 3)."""
     for i in range(points.shape[0]):
         distances[i], indices[i] = nearest_primitive(
-            kinds, rows, discs, points[i, 0], points[i, 1], points[i, 2]
+            kinds, rows, discs, bodies, poses, points[i, 0], points[i, 1], points[i, 2]
         )
 
 
 @compiled(
     "void(float64[:, ::1], float64[:, ::1], float64, float64, int32[::1], float64[:, ::1], "
-    "float64[:, ::1], float64[::1])"
+    "float64[:, ::1], int32[:, ::1], float64[:, ::1], float64[::1])"
 )
 def find_contacts(
     starts: FloatArray,
@@ -87,6 +105,8 @@ def find_contacts(
     kinds: np.ndarray[tuple[int], np.dtype[np.int32]],
     rows: FloatArray,
     discs: FloatArray,
+    bodies: np.ndarray[tuple[int, int], np.dtype[np.int32]],
+    poses: FloatArray,
     fractions: FloatArray,
 ) -> None:
     """Write the fraction (n,) of each segment at which a moving sphere first touches, infinity if never.
@@ -102,7 +122,8 @@ def find_contacts(
         travelled = 0.0
         while True:
             f = min(travelled / length, 1.0) if length > 0.0 else 0.0
-            free = nearest_primitive(kinds, rows, discs, sx + f * dx, sy + f * dy, sz + f * dz)[0] - radius
+            x, y, z = sx + f * dx, sy + f * dy, sz + f * dz
+            free = nearest_primitive(kinds, rows, discs, bodies, poses, x, y, z)[0] - radius
             if free <= 0.0:
                 fractions[i] = f
                 break

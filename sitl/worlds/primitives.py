@@ -5,7 +5,7 @@ World frame: z up, metres. The same models read a YAML list of primitives and ar
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
 import numpy as np
@@ -14,8 +14,9 @@ from pydantic import Field, Strict, model_validator
 
 from companion.messages import ByteArray, FloatArray
 from companion.settings import Settings
+from sitl.worlds.casting_kernels import cast_rays
 from sitl.worlds.clearance_kernels import find_contacts, measure_clearances
-from sitl.worlds.raycast_kernels import BOX, CAPSULE, CYLINDER, PLANE, SPHERE, cast_rays
+from sitl.worlds.raycast_kernels import BOX, CAPSULE, CYLINDER, PLANE, SPHERE
 
 Vector = Annotated[tuple[float, float, float], Strict(False)]
 Row = tuple[float, float, float, float, float, float, float, float]
@@ -142,16 +143,29 @@ class Hits:
     cosines: FloatArray
 
 
+def _no_bodies() -> NDArray[np.int32]:
+    return np.empty((0, 2), np.int32)
+
+
+def _no_poses() -> FloatArray:
+    return np.empty((0, 8))
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class World:
-    """Primitives as contiguous arrays, ready for kernels.
+    """Primitives as contiguous arrays, ready for kernels: fixed ones, then the parts of moving bodies.
+
+    Bodies join a world through `sitl.worlds.bodies.Bodies`.
 
     Attributes:
         kinds: (m,) kind of each primitive (see `sitl.worlds.raycast_kernels`).
-        rows: (m, 8) its shape.
-        discs: (m, 3) x, y, radius of a vertical cylinder around it; the radius of a plane is infinite.
+        rows: (m, 8) its shape; of a body's part in the body's frame.
+        discs: (f, 3) x, y, radius of a vertical cylinder around each of the f fixed primitives; the
+            radius of a plane is infinite.
         reflectivity: (m,) 0 to 1.
         retro_reflective: (m,) 1 for a retro-reflector.
+        bodies: (b, 2) first part of each body and one past its last.
+        poses: (b, 8) position, attitude and radius of an enclosing sphere of each body.
     """
 
     kinds: NDArray[np.int32]
@@ -159,6 +173,8 @@ class World:
     discs: FloatArray
     reflectivity: FloatArray
     retro_reflective: ByteArray
+    bodies: NDArray[np.int32] = field(default_factory=_no_bodies)
+    poses: FloatArray = field(default_factory=_no_poses)
 
     @classmethod
     def of(cls, primitives: Iterable[Ground | Sphere | Cylinder | Capsule | Box]) -> "World":
@@ -174,11 +190,17 @@ class World:
         )
 
     def __len__(self) -> int:
-        """Return the number of primitives."""
+        """Return the number of primitives, parts of bodies included."""
         return len(self.kinds)
 
     def joined(self, other: "World") -> "World":
-        """Return both worlds in one, for instance the fixed one and the other vehicles' bodies."""
+        """Return the fixed primitives of both worlds in one.
+
+        Raises:
+            ValueError: if there are bodies in either.
+        """
+        if len(self.bodies) or len(other.bodies):
+            raise ValueError("worlds can be joined only before bodies enter them")
         return World(
             kinds=np.concatenate([self.kinds, other.kinds]),
             rows=np.concatenate([self.rows, other.rows]),
@@ -193,13 +215,19 @@ class World:
         return World(
             kinds=self.kinds[keep],
             rows=self.rows[keep],
-            discs=self.discs[keep],
+            discs=self.discs[keep[: len(self.discs)]],
             reflectivity=self.reflectivity[keep],
             retro_reflective=self.retro_reflective[keep],
+            bodies=(self.bodies - np.count_nonzero(~keep)).astype(np.int32),
+            poses=self.poses,
         )
 
+    def bodies_of(self, indices: NDArray[np.int32]) -> NDArray[np.int64]:
+        """Return the number of the body to which primitives (n,) belong, -1 for fixed ones and for -1."""
+        return np.searchsorted(self.bodies[:, 0], indices, side="right") - 1
+
     def bounds_xy(self) -> tuple[FloatArray, FloatArray]:
-        """Return the least and greatest x, y (2,) of all bounded primitives.
+        """Return the least and greatest x, y (2,) of all bounded fixed primitives.
 
         Raises:
             ValueError: if there is none.
@@ -217,8 +245,8 @@ class World:
             raise ValueError(f"origins {origins.shape} and directions {directions.shape} must both be (n, 3)")
         hits = Hits(np.empty(len(origins)), np.empty(len(origins), np.int32), np.empty(len(origins)))
         cast_rays(
-            origins, directions, self.kinds, self.rows, self.discs, float(max_range_m),
-            hits.ranges, hits.indices, hits.cosines,
+            origins, directions, self.kinds, self.rows, self.discs, self.bodies, self.poses,
+            float(max_range_m), hits.ranges, hits.indices, hits.cosines,
         )  # fmt: skip
         return hits
 
@@ -227,7 +255,9 @@ class World:
         points = np.asarray(points_world, dtype=np.float64)
         flat = _for_kernel(points.reshape(-1, 3))
         distances, indices = np.empty(len(flat)), np.empty(len(flat), np.int32)
-        measure_clearances(flat, self.kinds, self.rows, self.discs, distances, indices)
+        measure_clearances(
+            flat, self.kinds, self.rows, self.discs, self.bodies, self.poses, distances, indices
+        )
         return distances.reshape(points.shape[:-1])
 
     def first_contact(self, starts_world: ArrayLike, ends_world: ArrayLike, radius_m: float) -> FloatArray:
@@ -243,6 +273,7 @@ class World:
         fractions = np.empty(starts[..., 0].size)
         find_contacts(
             _for_kernel(starts.reshape(-1, 3)), _for_kernel(ends.reshape(-1, 3)),
-            float(radius_m), _CONTACT_TOLERANCE_M, self.kinds, self.rows, self.discs, fractions,
+            float(radius_m), _CONTACT_TOLERANCE_M, self.kinds, self.rows, self.discs,
+            self.bodies, self.poses, fractions,
         )  # fmt: skip
         return fractions.reshape(starts.shape[:-1])

@@ -1,4 +1,4 @@
-"""Ray casting against primitives: scalar intersections, and a batched nearest hit with culling.
+"""Rays against single primitives: distances, normals and the sectors in which a thing can be seen.
 
 A primitive is a kind and one row of eight numbers (see `sitl.worlds.primitives`):
 
@@ -18,9 +18,7 @@ in metres (directions are unit vectors); infinity means no hit. Surfaces are hit
 
 import math
 
-import numpy as np
-
-from companion.compiled import compiled, inlined
+from companion.compiled import inlined
 from companion.messages import FloatArray
 
 PLANE = 0
@@ -31,9 +29,7 @@ BOX = 4
 
 NEAREST_HIT_M = 1e-6
 _PARALLEL = 1e-12
-_SECTORS = 256
-_RAYS_PER_BATCH = 1024
-_CULLING_MARGIN_M = 1e-6
+SECTORS = 256
 
 
 @inlined
@@ -226,105 +222,16 @@ def sector_of(x: float, y: float) -> int:
         return 0
     turn = x / size
     quarter = 1.0 - turn if y >= 0.0 else 3.0 + turn  # 0 at +x, 1 at +y, 2 at -x, 3 at -y
-    return int(quarter * (0.25 * _SECTORS)) & (_SECTORS - 1)
+    return int(quarter * (0.25 * SECTORS)) & (SECTORS - 1)
 
 
 @inlined
 def sector_span(x: float, y: float, distance: float, radius: float) -> tuple[int, int]:
     """Return (first, number) of the sectors from which a disc at (x, y) can be seen."""
     if not distance > radius:
-        return 0, _SECTORS
+        return 0, SECTORS
     sine = radius / distance
     cosine = math.sqrt(1.0 - sine * sine)
     first = sector_of(x * cosine + y * sine, y * cosine - x * sine)
     last = sector_of(x * cosine - y * sine, y * cosine + x * sine)
-    return first, ((last - first) & (_SECTORS - 1)) + 1
-
-
-@compiled(
-    "void(float64[:, ::1], float64[:, ::1], int32[::1], float64[:, ::1], float64[:, ::1], float64, "
-    "float64[::1], int32[::1], float64[::1])"
-)
-def cast_rays(
-    origins: FloatArray,
-    directions: FloatArray,
-    kinds: np.ndarray[tuple[int], np.dtype[np.int32]],
-    rows: FloatArray,
-    discs: FloatArray,
-    max_range: float,
-    ranges: FloatArray,
-    indices: np.ndarray[tuple[int], np.dtype[np.int32]],
-    cosines: FloatArray,
-) -> None:
-    """Find the nearest hit of each ray (world frame).
-
-    Rays that follow each other should start near each other: candidates are listed by horizontal
-    sector once per 1024 rays, as seen from the middle of their origins. Scattered origins stay
-    correct but are slow.
-
-    Args:
-        origins: (n, 3) metres.
-        directions: (n, 3) unit vectors.
-        kinds: (m,) kind of each primitive.
-        rows: (m, 8) its shape.
-        discs: (m, 3) x, y and radius of a vertical cylinder around each primitive (radius may be
-            infinite).
-        max_range: hits farther away are ignored, metres.
-        ranges: (n,) out, metres; infinity without a hit.
-        indices: (n,) out, primitive hit, -1 without a hit.
-        cosines: (n,) out, absolute cosine of the angle of incidence, 0 without a hit.
-    """
-    n_primitives = kinds.shape[0]
-    gaps = np.empty(n_primitives)
-    firsts = np.empty(n_primitives, np.int64)
-    spans = np.empty(n_primitives, np.int64)
-    for start in range(0, origins.shape[0], _RAYS_PER_BATCH):
-        end = min(start + _RAYS_PER_BATCH, origins.shape[0])
-        low_x, high_x = origins[start, 0], origins[start, 0]
-        low_y, high_y = origins[start, 1], origins[start, 1]
-        for i in range(start + 1, end):
-            low_x, high_x = min(low_x, origins[i, 0]), max(high_x, origins[i, 0])
-            low_y, high_y = min(low_y, origins[i, 1]), max(high_y, origins[i, 1])
-        centre_x, centre_y = 0.5 * (low_x + high_x), 0.5 * (low_y + high_y)
-        spread = 0.5 * math.hypot(high_x - low_x, high_y - low_y) + _CULLING_MARGIN_M
-
-        offsets = np.zeros(_SECTORS + 1, np.int64)
-        for k in range(n_primitives):
-            x, y = discs[k, 0] - centre_x, discs[k, 1] - centre_y
-            radius = discs[k, 2] + spread
-            distance = math.hypot(x, y)
-            gaps[k] = max(distance - radius, 0.0)
-            spans[k] = 0
-            if gaps[k] <= max_range:
-                firsts[k], spans[k] = sector_span(x, y, distance, radius)
-            for sector in range(firsts[k], firsts[k] + spans[k]):
-                offsets[(sector & (_SECTORS - 1)) + 1] += 1
-        for sector in range(_SECTORS):
-            offsets[sector + 1] += offsets[sector]
-        candidates = np.empty(offsets[_SECTORS], np.int32)
-        filled = offsets[:_SECTORS].copy()
-        for k in np.argsort(gaps):
-            for sector in range(firsts[k], firsts[k] + spans[k]):
-                candidates[filled[sector & (_SECTORS - 1)]] = k
-                filled[sector & (_SECTORS - 1)] += 1
-
-        for i in range(start, end):
-            ox, oy, oz = origins[i, 0], origins[i, 1], origins[i, 2]
-            dx, dy, dz = directions[i, 0], directions[i, 1], directions[i, 2]
-            horizontal = math.sqrt(dx * dx + dy * dy)
-            best, reach, hit = max_range, max_range * horizontal, -1
-            sector = sector_of(dx, dy)
-            for slot in range(offsets[sector], offsets[sector + 1]):
-                k = candidates[slot]
-                if gaps[k] > reach:
-                    break
-                t = ray_primitive(kinds[k], rows[k], ox, oy, oz, dx, dy, dz)
-                if t < best:
-                    best, reach, hit = t, t * horizontal, k
-            indices[i] = hit
-            if hit < 0:
-                ranges[i], cosines[i] = math.inf, 0.0
-                continue
-            ranges[i] = best
-            nx, ny, nz = outward_normal(kinds[hit], rows[hit], ox + best * dx, oy + best * dy, oz + best * dz)
-            cosines[i] = min(abs(nx * dx + ny * dy + nz * dz), 1.0)
+    return first, ((last - first) & (SECTORS - 1)) + 1

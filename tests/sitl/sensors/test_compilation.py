@@ -10,11 +10,11 @@ from sitl.kinematics import BodyTrajectory, Kinematics
 from sitl.sensors import imu_kernels, ranging_kernels, scan_kernels
 from sitl.sensors.imu import ImuModel, ImuSettings
 from sitl.sensors.mid360 import Mid360Model, Mid360Settings
-from sitl.worlds import clearance_kernels, raycast_kernels
+from sitl.worlds import casting_kernels, clearance_kernels
 from sitl.worlds.primitives import Ground, World
 
 KERNELS = [
-    raycast_kernels.cast_rays,
+    casting_kernels.cast_rays,
     clearance_kernels.measure_clearances,
     clearance_kernels.find_contacts,
     scan_kernels.evaluate_directions,
