@@ -12,6 +12,7 @@ from companion import __version__
 from companion.command_line import AsJson, Result, conclude, run
 from companion.exit_codes import ExitCode
 from sitl.bench_cli import app as bench_app
+from sitl.odometry_peer_cli import odometry_peer
 
 if TYPE_CHECKING:
     from sitl.outcome import Ending, Outcome
@@ -30,6 +31,9 @@ app = typer.Typer(
 )
 
 app.add_typer(bench_app, name="bench")
+app.command(
+    "odometry-peer", epilog="Example: sitl odometry-peer field_configs/sitl_uav_leader_external.yaml"
+)(odometry_peer)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

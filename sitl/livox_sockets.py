@@ -8,7 +8,7 @@ import heapq
 import selectors
 import socket
 import threading
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 import structlog
 
@@ -38,6 +38,7 @@ class LivoxSockets:
         clock: SystemClock,
         hears_broadcast: bool = True,
         network: Network | None = None,
+        mirrored_ports: Mapping[int, int] | None = None,
     ) -> None:
         """Prepare; nothing is opened before `start`.
 
@@ -46,7 +47,10 @@ class LivoxSockets:
             clock: host time, the same that the emulator's power-on refers to.
             hears_broadcast: also answer searches sent to 255.255.255.255.
             network: what happens to points and inertial samples on their way; nothing by default.
+            mirrored_ports: what is sent to one of these ports also goes to another one of the same host, as
+                from a switch that mirrors a port.
         """
+        self._mirrored_ports = dict(mirrored_ports or {})
         self._network = network
         self._emulator = emulator
         self._clock = clock
@@ -169,7 +173,10 @@ class LivoxSockets:
 
     def _send_now(self, datagram: Datagram) -> None:
         try:
-            self._sockets[datagram.source[1]].sendto(datagram.payload, datagram.destination)
+            endpoint, (host, port) = self._sockets[datagram.source[1]], datagram.destination
+            endpoint.sendto(datagram.payload, (host, port))
+            if port in self._mirrored_ports:
+                endpoint.sendto(datagram.payload, (host, self._mirrored_ports[port]))
         except OSError as error:
             self.send_errors += 1
             if self.send_errors == 1:

@@ -16,6 +16,8 @@ from sitl.outcome import Ending
 from sitl.referee import Referee
 from sitl.scenario import Stage
 from sitl.stepped_companion import SteppedCompanion
+from sitl.stepped_peer import ADDRESS as PEER_ADDRESS
+from sitl.stepped_peer import SteppedPeer
 from sitl.vehicle import SimulatedVehicle, build_livox, build_operator
 
 BOOT_NS = 1_000_000_000
@@ -45,6 +47,9 @@ class Lockstep:
             host_ip=profile.lidar.host_ip,
             perception_latency_ns=seconds_to_ns(1e-3 * scenario.perception_latency_ms),
         )
+        self._peer: SteppedPeer | None = None
+        if profile.odometry.source == "external":
+            self._peer = SteppedPeer(profile, BOOT_NS, seconds_to_ns(1e-3 * scenario.perception_latency_ms))
         self._to_companion: list[bytes] = []
         self._next_truth_ns = BOOT_NS
 
@@ -69,6 +74,11 @@ class Lockstep:
         to_lidar: list[Datagram] = []
         for datagram in self._network.deliver(t_ns):
             to_lidar.extend(self._companion.receive_datagram(datagram))
+            if self._peer is not None:
+                self._peer.receive_datagram(datagram)
+        if self._peer is not None:
+            for data in self._peer.step(t_ns):
+                self._companion.receive_external(data, PEER_ADDRESS, t_ns)
         to_autopilot: list[bytes] = []
         waiting, self._to_companion = self._to_companion, []
         for data in waiting:

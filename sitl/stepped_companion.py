@@ -2,11 +2,13 @@
 
 from collections import deque
 from collections.abc import Sequence
+from typing import Protocol
 
 from companion.assembly import assemble
 from companion.clock import seconds_to_ns
 from companion.config import Profile
 from companion.decision_schedule import DecisionSchedule
+from companion.drivers.external_odometry import ExternalOdometryReceiver
 from companion.drivers.livox_framing import LivoxReceiver, LivoxStatistics
 from companion.drivers.livox_handshake import LivoxHandshake
 from companion.drivers.mavlink_codec import MavlinkEncoder, MavlinkParser
@@ -22,7 +24,6 @@ from companion.messages import (
     RegisteredScan,
     SensorEvent,
 )
-from companion.pipeline import Pipeline
 
 _STATISTICS_PERIOD_NS = seconds_to_ns(1.0)
 
@@ -36,6 +37,7 @@ class SteppedCompanion:
         self._session = Px4Session(profile.autopilot)
         self._exchange = Exchange(self._pipeline, self._session, log)
         self._receiver = LivoxReceiver(profile.lidar)
+        self._external = ExternalOdometryReceiver(profile.external_odometry)
         self._handshake = LivoxHandshake(profile.lidar, host_ip)
         self._data_ports = (profile.lidar.host_ports.points, profile.lidar.host_ports.imu)
         self._encoder = MavlinkEncoder()
@@ -62,6 +64,12 @@ class SteppedCompanion:
             self._exchange.record_sensor_event(event)
             self._exchange.record_place(event, self._perception.submit(event))
         return []
+
+    def receive_external(self, data: bytes, source: tuple[str, int], t_ns: int) -> None:
+        """Take one datagram of another process's odometry."""
+        for event in self._external.receive(t_ns, source, data):
+            self._exchange.record_sensor_event(event)
+            self._exchange.record_place(event, self._perception.submit(event))
 
     def receive_mavlink(self, data: bytes, t_ns: int) -> list[bytes]:
         """Take bytes from the autopilot; return what is answered."""
@@ -95,10 +103,18 @@ class SteppedCompanion:
         return [self._encoder.encode(message) for message in messages]
 
 
+class Perceiving(Protocol):
+    """Who estimates: a pipeline, or somebody else's process."""
+
+    def perceive(self, event: SensorEvent) -> Sequence[PerceptionUpdate]:
+        """Take one event in; return the estimates that became known."""
+        ...
+
+
 class PerceptionQueue:
     """Computing time as simulated time: what arrives while a scan is being worked on has to wait."""
 
-    def __init__(self, pipeline: Pipeline, latency_ns: int) -> None:
+    def __init__(self, pipeline: Perceiving, latency_ns: int) -> None:
         """Take `latency_ns` for every scan and none for an IMU sample."""
         self._pipeline = pipeline
         self._latency_ns = latency_ns

@@ -14,6 +14,7 @@ from sitl.ground_link import GROUND_ADDRESS, GroundLink
 from sitl.livox_sockets import LivoxSockets
 from sitl.mavlink_sockets import MavlinkSockets, MavlinkSocketSettings
 from sitl.network import Network
+from sitl.odometry_peer_process import OdometryPeerProcess, mirrored_ports
 from sitl.outcome import Ending
 from sitl.referee import Referee
 from sitl.scenario import Stage
@@ -43,11 +44,15 @@ class WireFlight:
             MavlinkSocketSettings(companion_port=port, companion_local_port=0, ground_local_port=0),
             clock,
         )
+        self.peer: OdometryPeerProcess | None = None
+        if stage.profile.odometry.source == "external":
+            self.peer = OdometryPeerProcess(stage.profile, stage.profile_path, folder)
         self._lidar = LivoxSockets(
             build_livox(stage, boot_ns),
             clock,
             hears_broadcast=stage.profile.lidar.broadcast_search,
             network=Network(stage.scenario.network, stage.generator("network"), boot_ns),
+            mirrored_ports=mirrored_ports(stage.profile) if self.peer is not None else None,
         )
         self._ground = GroundLink(self.operator, clock)
         self._next_truth_ns = boot_ns
@@ -61,11 +66,15 @@ class WireFlight:
         await self._ground.open(GROUND_ADDRESS)
         await self.links.open()
         self._lidar.start()
+        if self.peer is not None:
+            await self.peer.start()
         await self.companion.start()
 
     async def close(self) -> None:
         """End the companion, then the emulators."""
         await self.companion.stop()
+        if self.peer is not None:
+            await self.peer.stop()
         self._lidar.stop()
         self.links.close()
         self._ground.close()
@@ -106,6 +115,8 @@ async def _fly(stage: Stage, log_path: Path, on_progress: Progress | None) -> En
             await flight.advance()
             if not flight.companion.running:
                 referee.end(f"the companion ended: {flight.companion.last_words()}")
+            if flight.peer is not None and not flight.peer.running:
+                referee.end(f"the other odometry process ended: {flight.peer.last_words()}")
             if on_progress is not None and referee.t_ns >= next_progress_ns:
                 next_progress_ns = referee.t_ns + _PROGRESS_PERIOD_NS
                 mode = flight.vehicle.autopilot.mode.value

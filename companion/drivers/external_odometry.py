@@ -247,7 +247,7 @@ def _covariance(values: object, default_sigmas: list[float], name: str, used: in
         return np.diag(np.square(default_sigmas))
     covariance = np.zeros((6, 6))
     covariance[_TRIANGLE] = triangle
-    covariance = covariance + covariance.T - np.diag(np.diagonal(covariance))
+    covariance.T[_TRIANGLE] = triangle
     part = covariance[:used, :used]
     if not np.isfinite(part).all():
         raise RefusedError(f"{name} not finite")

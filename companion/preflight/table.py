@@ -11,6 +11,7 @@ from companion.kernel_cache import load_kernels
 from companion.preflight import host
 from companion.preflight.check import Check, guarded, is_go
 
+EXTERNAL_ODOMETRY = "external odometry"
 HARDWARE = ("LiDAR network", "LiDAR", "autopilot")
 
 
@@ -44,8 +45,10 @@ def run_checks(
         ("core files", host.check_core_files),
         ("single instance", lambda: host.check_single_instance(directories.runtime)),
     ]
+    external = profile.odometry.source == "external"
     if offline:
-        skipped = [Check(name, "skipped", "offline") for name in HARDWARE]
+        names = (*HARDWARE, EXTERNAL_ODOMETRY) if external else HARDWARE
+        skipped = [Check(name, "skipped", "offline") for name in names]
         return [check for name, look in looks for check in guarded(name, look)] + skipped
 
     # The drivers take a second to import; offline nothing needs them.
@@ -57,6 +60,10 @@ def run_checks(
         ("LiDAR", lambda: asyncio.run(check_lidar(profile.lidar, clock, STREAM_TIMEOUT_S))),
         ("autopilot", lambda: asyncio.run(check_autopilot(profile, clock))),
     ]
+    if external:
+        from companion.preflight.external_odometry import check_external_odometry
+
+        looks.append((EXTERNAL_ODOMETRY, lambda: asyncio.run(check_external_odometry(profile, clock))))
     return [check for name, look in looks for check in guarded(name, look)]
 
 

@@ -120,17 +120,17 @@ class ExternalHealth:
         if refusal:
             return Health(OdometryStatus.LOST, 0, refusal)
         doubts = self._doubts(t_ns, age_s)
+        # A stated quality needs no further discount for being low.
+        share = _DOUBT if doubts else 1.0
+        if self._quality < settings.min_quality:
+            doubts.append(f"external odometry states the quality {self._quality}")
         waited_s = (self._last_ns - self._began_ns) * 1e-9
         if not settled and (waited_s < settings.settling_s or doubts):
-            reason = (
-                doubts[0]
-                if doubts
-                else f"external odometry for {waited_s:.1f} s of {settings.settling_s:g} s"
-            )
-            return Health(OdometryStatus.INITIALISING, 0, reason)
+            settling = f"external odometry for {waited_s:.1f} s of {settings.settling_s:g} s"
+            return Health(OdometryStatus.INITIALISING, 0, doubts[0] if doubts else settling)
         late = (age_s - settings.stale_after_s) / (settings.lost_after_s - settings.stale_after_s)
         certain = 1.0 / (1.0 + (self._sigma_m / settings.max_position_sigma_m) ** 2)
-        quality = self._quality * (1.0 - min(1.0, max(0.0, late))) * certain * (_DOUBT if doubts else 1.0)
+        quality = self._quality * (1.0 - min(1.0, max(0.0, late))) * certain * share
         status = OdometryStatus.DEGRADED if doubts else OdometryStatus.TRACKING
         return Health(status, max(1, round(quality)), ", ".join(doubts))
 
@@ -160,8 +160,6 @@ class ExternalHealth:
                 doubts.append(
                     f"external odometry at {rate_hz:.0f} Hz, at least {settings.min_rate_hz:g} wanted"
                 )
-        if self._quality < settings.min_quality:
-            doubts.append(f"external odometry states the quality {self._quality}")
         if self._sigma_m > settings.max_position_sigma_m:
             doubts.append(f"external position uncertain by {self._sigma_m:.2f} m")
         if self._sigma_deg > settings.max_rotation_sigma_deg:
