@@ -1,0 +1,208 @@
+"""From filtered points to clusters that may be UAVs: density, number of points, size and shape."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from companion.messages import ByteArray, FloatArray
+from companion.perception.tracking import clustering_kernels as kernels
+from companion.perception.tracking.settings import TrackingSettings
+
+MOST_CLUSTERS = 256
+"""Beyond this number only the nearest clusters are looked at."""
+
+_REACH_BEYOND_BODY_M = 0.1  # rotors and legs
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FilteredPoints:
+    """Points to be clustered.
+
+    Attributes:
+        measured_map: (n, 3) where they were measured, m.
+        moved_map: (n, 3) where what they belong to is expected now, m.
+        ages_s: (n,) how long ago they were measured.
+        fresh: (n,) 1 for points of the newest scan.
+        bright: (n,) 1 for bright points.
+        owners: (n,) track each one lies at, or -1.
+    """
+
+    measured_map: FloatArray
+    moved_map: FloatArray
+    ages_s: FloatArray
+    fresh: ByteArray
+    bright: ByteArray
+    owners: NDArray[np.int32]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cluster:
+    """Points that belong together.
+
+    Attributes:
+        points: their number in the stack.
+        fresh: number of those from the newest scan.
+        bright: number of bright ones in the stack.
+        centre_map: (3,) mean of the whole stack, moved to now.
+        size_m: (3,) extent along the map's axes, moved to now.
+        measured_map: (3,) mean of the newest scan's points where they were measured; without any, the
+            same as `centre_map`.
+        age_s: how long ago that was, on average.
+        range_m: from the sensor to `centre_map`.
+    """
+
+    points: int
+    fresh: int
+    bright: int
+    centre_map: FloatArray
+    size_m: FloatArray
+    measured_map: FloatArray
+    age_s: float
+    range_m: float
+
+    @property
+    def bright_share(self) -> float:
+        """Return the share of bright points."""
+        return self.bright / self.points
+
+
+def epsilons(ranges_m: FloatArray, settings: TrackingSettings) -> FloatArray:
+    """Return how near to each other points at these ranges (n,) must be to belong together, m."""
+    density = settings.points_per_steradian * settings.stacked_scans
+    return np.maximum(settings.epsilon_m, settings.epsilon_spacings / math.sqrt(density) * ranges_m)
+
+
+def least_points(range_m: float, settings: TrackingSettings) -> int:
+    """Return how many points a new neighbour must show at this range."""
+    nearer = settings.min_points_range_m / max(range_m, 1e-3)
+    wanted = round(settings.min_points * nearer**2)
+    return int(min(max(wanted, settings.min_points_floor), settings.min_points))
+
+
+def find_clusters(
+    points: FilteredPoints, sensor_map: FloatArray, settings: TrackingSettings
+) -> NDArray[np.int32]:
+    """Return the cluster (n,) of each point, -1 for none."""
+    ranges = np.linalg.norm(points.moved_map - sensor_map, axis=1)
+    labels = np.empty(len(ranges), np.int32)
+    count = kernels.density_clusters(
+        points.moved_map, epsilons(ranges, settings), settings.core_points, labels
+    )
+    count = _share_out(labels, count, points)
+    if settings.sparse_updates:
+        _gather(labels, count, points, settings)
+    return labels
+
+
+def _share_out(labels: NDArray[np.int32], count: int, points: FilteredPoints) -> int:
+    """Divide clusters in which several tracks have points: bodies that pass closely look like one."""
+    claimed = (labels >= 0) & (points.owners >= 0)
+    pairs = np.unique(np.column_stack([labels[claimed], points.owners[claimed]]), axis=0)
+    for label in np.flatnonzero(np.bincount(pairs[:, 0], minlength=1) > 1):
+        inside = np.flatnonzero(labels == label)
+        owners, moved = points.owners[inside], points.moved_map[inside]
+        names = pairs[pairs[:, 0] == label, 1]
+        middles = np.array([moved[owners == name].mean(axis=0) for name in names])
+        nearest = names[np.argmin(np.linalg.norm(moved[:, None] - middles, axis=2), axis=1)]
+        mine = np.where(owners >= 0, owners, nearest)
+        for name in names[1:]:
+            labels[inside[mine == name]] = count
+            count += 1
+    return count
+
+
+def _gather(
+    labels: NDArray[np.int32], count: int, points: FilteredPoints, settings: TrackingSettings
+) -> None:
+    """Put together what lies at one track and is no larger than a body, single points included.
+
+    Far away a body's points are farther apart than any epsilon that could still tell two bodies apart.
+    """
+    largest_m = 2.0 * (settings.body_radius_m + _REACH_BEYOND_BODY_M)
+    for owner in np.unique(points.owners[points.owners >= 0]):
+        mine = np.flatnonzero(points.owners == owner)
+        names, sizes = np.unique(labels[mine], return_counts=True)
+        if len(names) == 1 and names[0] >= 0:
+            continue
+        if np.all(np.ptp(points.moved_map[mine], axis=0) <= largest_m):
+            clusters = names >= 0
+            if clusters.any():
+                labels[mine] = names[clusters][np.argmax(sizes[clusters])]
+            else:
+                labels[mine] = count
+                count += 1
+
+
+def trim(
+    labels: NDArray[np.int32],
+    points: FilteredPoints,
+    trusted: NDArray[np.bool_],
+    settings: TrackingSettings,
+) -> None:
+    """Cut clusters of trusted tracks that are too large back to what lies around their bright points.
+
+    A proven UAV that passes closely by something solid grows together with it.
+
+    Args:
+        labels: (n,) in and out.
+        points: what was clustered.
+        trusted: (t,) which tracks are proven.
+        settings: size limits.
+    """
+    if not settings.size_gate or not trusted.any():
+        return
+    reach_m = settings.body_radius_m + _REACH_BEYOND_BODY_M
+    of_trusted = points.owners >= 0
+    of_trusted[of_trusted] = trusted[points.owners[of_trusted]]
+    for label in np.unique(labels[of_trusted & (labels >= 0)]):
+        inside = np.flatnonzero(labels == label)
+        moved = points.moved_map[inside]
+        if _fits(np.ptp(moved, axis=0), settings):
+            continue
+        bright = points.bright[inside] != 0
+        if not bright.any():
+            continue
+        away = moved - np.median(moved[bright], axis=0)
+        labels[inside[np.linalg.norm(away, axis=1) > reach_m]] = -1
+
+
+def describe(labels: NDArray[np.int32], points: FilteredPoints, sensor_map: FloatArray) -> list[Cluster]:
+    """Return what there is to know of each cluster, the nearest first."""
+    count = int(labels.max(initial=-1)) + 1
+    table = np.empty((count, kernels.SUMMARY_WIDTH))
+    kernels.summarise(
+        labels, points.measured_map, points.moved_map, points.ages_s, points.fresh, points.bright, table
+    )
+    table = table[table[:, kernels.COUNT] > 0.0]
+    middles = table[:, kernels.SUM] / table[:, kernels.COUNT, None]
+    ranges = np.linalg.norm(middles - sensor_map, axis=1)
+    order = np.argsort(ranges, kind="stable")[:MOST_CLUSTERS]
+    clusters = []
+    for k in order:
+        row = table[k]
+        fresh = row[kernels.FRESH]
+        clusters.append(
+            Cluster(
+                points=int(row[kernels.COUNT]),
+                fresh=int(fresh),
+                bright=int(row[kernels.BRIGHT]),
+                centre_map=middles[k],
+                size_m=row[kernels.HIGH] - row[kernels.LOW],
+                measured_map=row[kernels.FRESH_SUM] / fresh if fresh else middles[k],
+                age_s=float(row[kernels.FRESH_AGE] / fresh) if fresh else 0.0,
+                range_m=float(ranges[k]),
+            )
+        )
+    return clusters
+
+
+def is_small(cluster: Cluster, settings: TrackingSettings) -> bool:
+    """Return whether a cluster is no larger than a UAV."""
+    return not settings.size_gate or _fits(cluster.size_m, settings)
+
+
+def _fits(size_m: FloatArray, settings: TrackingSettings) -> bool:
+    width = math.hypot(float(size_m[0]), float(size_m[1]))
+    return width <= settings.max_width_m and float(size_m[2]) <= settings.max_height_m

@@ -1,0 +1,153 @@
+"""What can be tuned in the tracking of neighbours.
+
+The defaults are what flies. `TrackingSettings.literal` returns the published method as it stands, for
+comparison.
+"""
+
+from enum import Enum
+
+from pydantic import Field
+
+from companion.settings import Settings
+
+
+class Association(str, Enum):
+    """How clusters find their tracks."""
+
+    GLOBAL = "global"
+    """The least total cost within gates that follow the covariances."""
+    GREEDY = "greedy"
+    """The nearest pair first, within a fixed distance."""
+
+
+class Tape(str, Enum):
+    """Whether the other UAVs wear reflective tape."""
+
+    REFLECTIVE = "reflective"
+    """They do: bright points start tracks."""
+    NONE = "none"
+    """They do not: whatever is small, floats freely and moves is one of them."""
+
+
+class TrackingSettings(Settings):
+    """Settings of the neighbour tracker; lengths in metres, speeds in m/s."""
+
+    tape: Tape = Field(default=Tape.REFLECTIVE, strict=False)
+    """What marks the other UAVs."""
+
+    stacked_scans: int = Field(default=2, ge=1, le=10)
+    """B: newest scans whose points are looked at together."""
+    min_range_m: float = Field(default=0.05, ge=0.0, le=5.0)
+    """d_min: nearer points are left out."""
+    max_range_m: float = Field(default=12.0, ge=1.0, le=40.0)
+    """d_max: farther points are left out (10 in the published table)."""
+    bright_reflectivity: int = Field(default=170, ge=1, le=255)
+    """I_high: points at least as bright can start a track."""
+    roi_radius_m: float = Field(default=0.3, gt=0.0, le=2.0)
+    """r_roi: dimmer points this near to a predicted track, or to a bright cluster, are looked at too."""
+    roi_sigmas: float = Field(default=2.5, ge=0.0, le=6.0)
+    """The radius grows to so many standard deviations of the prediction..."""
+    max_roi_radius_m: float = Field(default=0.9, gt=0.0, le=5.0)
+    """...but not beyond this."""
+    most_points: int = Field(default=3000, ge=100, le=20_000)
+    """Most points that are clustered at once; more are thinned evenly."""
+
+    epsilon_m: float = Field(default=0.1, gt=0.0, le=1.0)
+    """Points this near to each other belong together (near the sensor)."""
+    epsilon_spacings: float = Field(default=1.5, ge=0.0, le=10.0)
+    """The same farther away, in mean distances between neighbouring points of the stack; 0: never grows."""
+    core_points: int = Field(default=2, ge=1, le=50)
+    """Points within epsilon, itself included, that make a point the core of a cluster."""
+    min_points: int = Field(default=16, ge=1, le=500)
+    """n_min: points a new neighbour must show in the stack at `min_points_range_m` and nearer..."""
+    min_points_range_m: float = Field(default=3.0, gt=0.0, le=20.0)
+    """...falling with the square of the range beyond this..."""
+    min_points_floor: int = Field(default=2, ge=1, le=500)
+    """...to no less than this."""
+    sparse_updates: bool = True
+    """A track may be kept by fewer points than it takes to begin one."""
+    points_per_steradian: float = Field(default=3500.0, gt=0.0, le=1e6)
+    """Points of one scan per unit of solid angle: 20,000 on 5.72 sr."""
+
+    body_radius_m: float = Field(default=0.125, gt=0.0, le=2.0)
+    """Radius of the upright cylinder that stands for another UAV's body..."""
+    body_height_m: float = Field(default=0.12, gt=0.0, le=2.0)
+    """...and its height; its near side is seen, its centre is wanted."""
+    max_width_m: float = Field(default=0.6, gt=0.0, le=5.0)
+    """Wider clusters are no UAV."""
+    max_height_m: float = Field(default=0.4, gt=0.0, le=5.0)
+    """Higher clusters are no UAV."""
+    body_centre: bool = True
+    """Measure the centre of the body; otherwise the mean of the visible points."""
+    size_gate: bool = True
+    """Refuse clusters by size and shape."""
+
+    association: Association = Field(default=Association.GLOBAL, strict=False)
+    """How clusters find their tracks."""
+    match_distance_m: float = Field(default=0.2, gt=0.0, le=5.0)
+    """d_match: of the greedy association."""
+    gate_probability: float = Field(default=0.9995, ge=0.5, lt=1.0)
+    """Share of true pairs that the global association's gate admits."""
+    inactive_s: float = Field(default=0.5, gt=0.0, le=10.0)
+    """t_inactive: an unobserved track is carried on as current for this long."""
+    last_seen_s: float = Field(default=3.0, ge=0.0, le=30.0)
+    """A validated one stays for this much longer as 'last seen' and takes its number up again when found."""
+    same_body_m: float = Field(default=0.35, gt=0.0, le=5.0)
+    """Nothing new begins this near to a track, and of two tracks this near only one is true."""
+    most_tracks: int = Field(default=48, ge=1, le=200)
+    """Most tracks at once, candidates included; the nearest clusters come first."""
+
+    range_sigma_m: float = Field(default=0.02, gt=0.0, le=0.5)
+    """Standard deviation of one point along and across its beam."""
+    shape_sigma_m: float = Field(default=0.015, ge=0.0, le=0.5)
+    """How far the body model's centre may be off whatever the number of points."""
+    shape_share: float = Field(default=1.0, gt=0.0, le=10.0)
+    """Multiplies the variance of where on the body a point lies; neighbouring points are not independent."""
+    ego_position_sigma_m: float = Field(default=0.005, ge=0.0, le=0.5)
+    """How much the own position jumps from scan to scan against the last ones; the error that all scans
+    share cancels in relative positions and is not counted."""
+    ego_rotation_sigma_deg: float = Field(default=0.05, ge=0.0, le=5.0)
+    """The same for the own attitude."""
+    degraded_factor: float = Field(default=4.0, ge=1.0, le=100.0)
+    """Multiplies both while the odometry is degraded."""
+    acceleration_density: float = Field(default=0.1, gt=0.0, le=100.0)
+    """Density of the white acceleration of a neighbour in steady flight, m^2/s^3..."""
+    manoeuvre_density: float = Field(default=6.0, gt=0.0, le=1000.0)
+    """...and of one that turns or brakes hard, m^2/s^3; innovations tell how much lies between."""
+    initial_speed_sigma: float = Field(default=1.5, gt=0.0, le=20.0)
+    """Standard deviation of a new neighbour's speed on each axis, m/s."""
+
+    bright_share: float = Field(default=0.05, ge=0.0, le=1.0)
+    """rho_high: share of bright points above which an observation counts as a UAV's."""
+    share_memory: float = Field(default=0.8, ge=0.0, lt=1.0)
+    """How much of the past is kept, scan by scan, in that share; 0: of the stack alone."""
+    on_s: float = Field(default=0.01, ge=0.0, le=10.0)
+    """tau_on: duration for which it must count without a break..."""
+    min_on_updates: int = Field(default=2, ge=1, le=50)
+    """...and least number of updates in a row."""
+    scan_period_s: float = Field(default=0.1, gt=0.0, le=1.0)
+    """Time between scans."""
+    proof_of_flight: bool = True
+    """A neighbour must also be seen to float freely or to move; otherwise brightness is enough."""
+    free_evidence: float = Field(default=3.0, gt=0.0, le=50.0)
+    """Log-likelihood ratio of free space below it over a foot, above which something floats."""
+    foot_width_m: float = Field(default=0.06, gt=0.0, le=1.0)
+    """Width of the thinnest post that is still expected to show under a sign."""
+    moved_m: float = Field(default=0.4, gt=0.0, le=10.0)
+    """A candidate that went this far, and not beside anything solid, flies."""
+    min_moving_speed: float = Field(default=0.25, ge=0.0, le=10.0)
+    """...if it is also this fast, m/s."""
+    surroundings_m: float = Field(default=0.4, gt=0.0, le=2.0)
+    """How far around a body solid things count as attached to it."""
+    fov_low_deg: float = Field(default=-7.0, ge=-90.0, le=0.0)
+    """Lower edge of the sensor's field of view."""
+
+    @classmethod
+    def literal(cls) -> "TrackingSettings":
+        """Return the published method: its table, and nothing that it does not describe."""
+        return cls(
+            max_range_m=10.0, roi_sigmas=0.0, epsilon_spacings=0.0, core_points=1, sparse_updates=False,
+            size_gate=False,
+            body_centre=False, association=Association.GREEDY, last_seen_s=0.0, share_memory=0.0,
+            min_on_updates=1, proof_of_flight=False,
+        )  # fmt: skip

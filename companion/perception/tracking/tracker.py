@@ -1,0 +1,201 @@
+"""Follows the other UAVs from scan to scan.
+
+The method is the published one: filter, cluster, track and validate in the map frame. What it lacks is
+added by settings, and `TrackingSettings.literal` takes all of that back.
+"""
+
+import math
+
+import numpy as np
+from scipy.special import chdtri
+
+from companion.clock import NANOSECONDS_PER_SECOND
+from companion.geometry.pose import Pose
+from companion.messages import FloatArray, NeighbourTracks, Odometry, OdometryStatus, RegisteredScan
+from companion.perception.tracking import region_kernels
+from companion.perception.tracking.association import gated_costs, global_pairs, greedy_pairs
+from companion.perception.tracking.clustering import (
+    Cluster,
+    describe,
+    find_clusters,
+    is_small,
+    least_points,
+    trim,
+)
+from companion.perception.tracking.filtering import ScanStack
+from companion.perception.tracking.regions import RegionSearch
+from companion.perception.tracking.settings import Association, Tape, TrackingSettings
+from companion.perception.tracking.track import Track, measurement
+from companion.perception.tracking.validation import Surroundings
+
+_USABLE = (OdometryStatus.TRACKING, OdometryStatus.DEGRADED)
+_SOLID_SHARE = 0.3  # points around a body, for each one on it, above which dim points are not its own
+
+
+class NeighbourTracker:
+    """Turns registered scans into tracks of neighbours; work and memory are bounded."""
+
+    def __init__(self, settings: TrackingSettings, T_body_lidar: Pose | None = None) -> None:
+        """Begin without any track.
+
+        Args:
+            settings: see `TrackingSettings`.
+            T_body_lidar: the sensor on the body; at its origin and level by default.
+        """
+        self._settings = settings
+        self._T_body_lidar = T_body_lidar or Pose.identity()
+        self._stack = ScanStack(settings)
+        self._search = RegionSearch(settings)
+        self._surroundings = Surroundings(settings, self._T_body_lidar.q)
+        self._gate = float(chdtri(3, 1.0 - settings.gate_probability))
+        self._tracks: list[Track] = []
+        self._next_id = 1
+        self._t_ns: int | None = None
+        self._reset_counter: int | None = None
+
+    def observe(self, scan: RegisteredScan) -> NeighbourTracks:
+        """Take one scan and return all tracks at its end.
+
+        While the odometry is lost, tracks are carried on unobserved; when the map frame jumps they are
+        dropped. A scan no newer than the last one changes nothing.
+        """
+        odometry = scan.odometry
+        if self._reset_counter != odometry.reset_counter:
+            self._forget()
+            self._reset_counter = odometry.reset_counter
+        if self._t_ns is None or odometry.t_ns > self._t_ns:
+            self._carry_on(odometry.t_ns)
+            if odometry.status in _USABLE and _is_finite(odometry):
+                self._look(scan)
+            else:
+                self._stack.clear()
+            self._bury()
+        messages = tuple(track.message() for track in self._tracks)
+        return NeighbourTracks(self._t_ns or odometry.t_ns, scan.sequence, messages)
+
+    def _forget(self) -> None:
+        self._tracks, self._t_ns = [], None
+        self._stack.clear()
+
+    def _carry_on(self, t_ns: int) -> None:
+        dt_s = 0.0 if self._t_ns is None else (t_ns - self._t_ns) / NANOSECONDS_PER_SECOND
+        if dt_s > self._settings.inactive_s + self._settings.last_seen_s:
+            self._forget()
+        self._t_ns = t_ns
+        for track in self._tracks:
+            track.predict(dt_s)
+
+    def _look(self, scan: RegisteredScan) -> None:
+        """The whole method: filter, cluster, associate, update, validate, begin."""
+        odometry, t_ns = scan.odometry, scan.odometry.t_ns
+        sensor = (Pose(odometry.p_map, odometry.q_map_body) @ self._T_body_lidar).p
+        stack = self._stack.add(scan, t_ns, sensor)
+        current = [track for track in self._tracks if self._is_current(track)]
+        lost = [track for track in self._tracks if not self._is_current(track)]
+        points = self._search.filtered(stack, current, sensor)
+        half_width, half_height = self._surroundings.half_width_m, self._surroundings.half_height_m
+        around = self._search.survey(stack, current, sensor, half_width, half_height)
+
+        labels = find_clusters(points, sensor, self._settings)
+        trusted = np.array([track.proof.validated for track in current], np.bool_)
+        trim(labels, points, trusted, self._settings)
+        clusters = [cluster for cluster in describe(labels, points, sensor) if self._is_plausible(cluster)]
+        jitter = self._jitter(odometry)
+        measured = [measurement(cluster, sensor, jitter, self._settings) for cluster in clusters]
+
+        pairs = self._pairs(current, clusters, measured, around)
+        expected = self._surroundings.expected_foot(
+            np.array([track.motion.p_map for track in current]).reshape(-1, 3), sensor, odometry.q_map_body
+        )
+        for i, j in pairs:
+            current[i].proof.look_around(around[i], float(expected[i]))
+            current[i].observe(t_ns, clusters[j], *measured[j])
+        left = [j for j in range(len(clusters)) if j not in {j for _, j in pairs}]
+        left = [j for j in left if self._may_begin(clusters[j], measured[j][0], current)]
+        found = self._pairs(lost, [clusters[j] for j in left], [measured[j] for j in left], None)
+        for i, k in found:
+            lost[i].observe(t_ns, clusters[left[k]], *measured[left[k]])
+        for k, j in enumerate(left):
+            if k not in {k for _, k in found} and len(self._tracks) < self._settings.most_tracks:
+                z, R = measured[j]
+                self._tracks.append(Track(self._next_id, t_ns, z, R, self._settings))
+                self._tracks[-1].observe(t_ns, clusters[j], z, R, born=True)
+                self._next_id += 1
+        self._merge(t_ns)
+
+    def _is_current(self, track: Track) -> bool:
+        return self._t_ns is not None and track.unseen_s(self._t_ns) <= self._settings.inactive_s + 0.01
+
+    def _is_plausible(self, cluster: Cluster) -> bool:
+        enough = self._settings.sparse_updates or cluster.points >= least_points(
+            cluster.range_m, self._settings
+        )
+        return cluster.fresh > 0 and enough and is_small(cluster, self._settings)
+
+    def _may_begin(self, cluster: Cluster, z_map: FloatArray, current: list[Track]) -> bool:
+        """Return whether a cluster that belongs to no current track may be another UAV."""
+        settings = self._settings
+        if cluster.points < least_points(cluster.range_m, settings):
+            return False
+        if settings.tape is Tape.REFLECTIVE and cluster.bright_share <= settings.bright_share:
+            return False
+        near = settings.same_body_m
+        return all(float(np.linalg.norm(track.motion.p_map - z_map)) > near for track in current)
+
+    def _pairs(
+        self,
+        tracks: list[Track],
+        clusters: list[Cluster],
+        measured: list[tuple[FloatArray, FloatArray]],
+        around: FloatArray | None,
+    ) -> list[tuple[int, int]]:
+        """Return which track (index) each cluster (index) continues."""
+        if not tracks or not clusters:
+            return []
+        z = np.array([z for z, _ in measured])
+        p = np.array([track.motion.p_map for track in tracks])
+        if self._settings.association is Association.GREEDY:
+            return greedy_pairs(np.linalg.norm(p[:, None] - z, axis=2), self._settings.match_distance_m)
+        states = np.column_stack([p, [track.motion.v_map for track in tracks]])
+        covariances = np.array([track.motion.covariance for track in tracks])
+        ages = np.array([cluster.age_s for cluster in clusters])
+        costs = gated_costs(states, covariances, z, np.array([R for _, R in measured]), ages, self._gate)
+        if around is not None and self._settings.tape is Tape.REFLECTIVE:
+            # Without a bright point, and with solid things around, it is those things that are seen.
+            solid = around[:, region_kernels.BELOW :].sum(axis=1)
+            solid = solid > 1.0 + _SOLID_SHARE * around[:, region_kernels.BODY]
+            dim = np.array([cluster.bright == 0 for cluster in clusters])
+            costs[np.outer(solid, dim)] = np.inf
+        return global_pairs(costs)
+
+    def _jitter(self, odometry: Odometry) -> tuple[float, float]:
+        settings = self._settings
+        factor = settings.degraded_factor if odometry.status is OdometryStatus.DEGRADED else 1.0
+        return factor * settings.ego_position_sigma_m, factor * math.radians(settings.ego_rotation_sigma_deg)
+
+    def _merge(self, t_ns: int) -> None:
+        """Of two tracks of one body keep the proven one, or else the older one."""
+        ranked = sorted(
+            (track for track in self._tracks if track.t_seen_ns == t_ns),
+            key=lambda track: (not track.proof.validated, track.t_born_ns, track.track_id),
+        )
+        kept: list[Track] = []
+        for track in ranked:
+            away = [float(np.linalg.norm(track.motion.p_map - other.motion.p_map)) for other in kept]
+            if min(away, default=np.inf) > self._settings.same_body_m:
+                kept.append(track)
+        gone = {track.track_id for track in ranked} - {track.track_id for track in kept}
+        self._tracks = [track for track in self._tracks if track.track_id not in gone]
+
+    def _bury(self) -> None:
+        longest = self._settings.inactive_s + self._settings.last_seen_s
+        self._tracks = [
+            track
+            for track in self._tracks
+            if self._is_current(track)
+            or (self._t_ns is not None and track.proof.validated and track.unseen_s(self._t_ns) <= longest)
+        ]
+
+
+def _is_finite(odometry: Odometry) -> bool:
+    return bool(np.isfinite(odometry.p_map).all() and np.isfinite(odometry.q_map_body).all())

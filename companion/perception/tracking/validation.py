@@ -1,0 +1,130 @@
+"""Whether a track is a UAV: bright for long enough, and floating or moving freely.
+
+A sign, a vest or tape on a pole is as bright as a UAV's tape. What tells them apart is what surrounds
+them: under a UAV, and around it, there is nothing, while they stand on, or hang on, something that
+returns points too. What floats at rest on nothing that the sensor can see (a sign on a thread, a post
+that hides behind something nearer) cannot be told from a UAV that hovers.
+"""
+
+import math
+
+import numpy as np
+
+from companion.clock import seconds_to_ns
+from companion.geometry import rotation
+from companion.messages import FloatArray
+from companion.perception.tracking import region_kernels
+from companion.perception.tracking.settings import Tape, TrackingSettings
+
+_MOST_EVIDENCE = 2.0  # in thresholds: what is proven can still be disproven
+_MOST_AGAINST = 3.0  # attached points of one scan that count
+_CLUTTER = 0.05  # points a scan that seem attached to what floats, and the same for each point on the body
+_RETURNS = 0.7  # share of the beams at a foot that return
+_FOOT_STEPS = 8
+_FIELD_MARGIN_RAD = 0.01
+
+
+class Surroundings:
+    """What is visible under bodies, and what was found there."""
+
+    def __init__(self, settings: TrackingSettings, q_body_lidar: FloatArray) -> None:
+        """Prepare for a sensor mounted with attitude `q_body_lidar` (4,)."""
+        self._settings = settings
+        self._q_body_lidar = q_body_lidar
+        # Arms, rotors and legs reach beyond the cylinder that stands for the body.
+        self.half_width_m = settings.body_radius_m + 0.13
+        self.half_height_m = 0.5 * settings.body_height_m + 0.09
+
+    def expected_foot(
+        self, centres_map: FloatArray, sensor_map: FloatArray, q_map_body: FloatArray
+    ) -> FloatArray:
+        """Return how many points (k,) of one scan a foot under each body would show.
+
+        Args:
+            centres_map: (k, 3) of the bodies, m.
+            sensor_map: (3,) m.
+            q_map_body: (4,) own attitude.
+        """
+        settings = self._settings
+        depth = self.half_height_m + settings.surroundings_m * (np.arange(_FOOT_STEPS) + 0.5) / _FOOT_STEPS
+        feet = centres_map[:, None, :] - sensor_map - depth[None, :, None] * np.array([0.0, 0.0, 1.0])
+        q_lidar_map = rotation.conjugate(rotation.multiply(q_map_body, self._q_body_lidar))
+        feet_lidar = rotation.rotate(q_lidar_map, feet)
+        elevation = np.arctan2(feet_lidar[..., 2], np.hypot(feet_lidar[..., 0], feet_lidar[..., 1]))
+        visible = np.mean(elevation >= math.radians(settings.fov_low_deg) + _FIELD_MARGIN_RAD, axis=1)
+        square = np.maximum(np.einsum("ki,ki->k", centres_map - sensor_map, centres_map - sensor_map), 0.01)
+        area = settings.foot_width_m * settings.surroundings_m * visible
+        return np.asarray(_RETURNS * settings.points_per_steradian * area / square)
+
+
+class Proof:
+    """The evidence for one track."""
+
+    def __init__(self, settings: TrackingSettings, p_map: FloatArray) -> None:
+        """Begin without any, at the place of birth."""
+        self._settings = settings
+        self._birth_map = p_map.copy()
+        self._bright = self._points = 0.0
+        self._on = 0
+        self._wanted_on = max(
+            settings.min_on_updates,
+            math.ceil(seconds_to_ns(settings.on_s) / seconds_to_ns(settings.scan_period_s)),
+        )
+        self.free = 0.0
+        self.moved = False
+        self.validated = False
+
+    @property
+    def bright_share(self) -> float:
+        """Return the remembered share of bright points."""
+        return self._bright / self._points if self._points > 0.0 else 0.0
+
+    @property
+    def attached(self) -> bool:
+        """Return whether it seems to stand on, or hang on, something."""
+        return self.free < -0.5 * self._settings.free_evidence
+
+    def look_around(self, counts: FloatArray, expected: float) -> None:
+        """Take the surroundings of one scan.
+
+        With a foot, points about it are Poisson distributed with the expected number plus clutter;
+        without one, clutter is all there is; `free` adds up the logarithm of that ratio.
+
+        Args:
+            counts: (SURROUNDINGS_WIDTH,) see `region_kernels.survey`.
+            expected: points that a foot would show.
+        """
+        around = float(counts[region_kernels.BELOW :].sum())
+        clutter = _CLUTTER * (1.0 + float(counts[region_kernels.BODY]))
+        against = min(around, _MOST_AGAINST) * min(math.log1p(max(expected, 0.5) / clutter), 2.0)
+        most = _MOST_EVIDENCE * self._settings.free_evidence
+        self.free = min(max(self.free + expected - against, -most), most)
+
+    def judge(self, points: int, bright: int, p_map: FloatArray, v_map: FloatArray, sigma_m: float) -> None:
+        """Take one update and decide anew.
+
+        Args:
+            points: of its cluster.
+            bright: number of bright ones among them.
+            p_map: (3,) where it is, m.
+            v_map: (3,) how it moves, m/s.
+            sigma_m: standard deviation of its position.
+        """
+        settings = self._settings
+        self._points = settings.share_memory * self._points + points
+        self._bright = settings.share_memory * self._bright + bright
+        bright_enough = settings.tape is Tape.NONE or self.bright_share > settings.bright_share
+        self._on = self._on + 1 if bright_enough else 0
+        far = float(np.linalg.norm(p_map - self._birth_map)) > settings.moved_m + 2.0 * sigma_m
+        fast = float(np.linalg.norm(v_map)) > settings.min_moving_speed
+        if far and fast and self.free > -0.25 * settings.free_evidence:
+            self.moved = True
+        flies = self.moved or self.free >= settings.free_evidence
+        if settings.tape is Tape.NONE:
+            flies = self.moved
+        if not settings.proof_of_flight:
+            flies = True
+        if bright_enough and flies and self._on >= self._wanted_on:
+            self.validated = True
+        elif not bright_enough or (settings.proof_of_flight and self.attached and not self.moved):
+            self.validated = False
