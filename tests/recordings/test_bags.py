@@ -1,12 +1,16 @@
 import sqlite3
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 pytest.importorskip("rosbags")
 
+from rosbags.highlevel import AnyReader
+
+from companion.drivers.livox_packets import decode_points
 from companion.drivers.livox_settings import LivoxSettings
 from companion.errors import LogError
 from companion.messages import SensorEvent
@@ -305,3 +309,35 @@ def test_a_bag_that_ends_after_its_first_bytes_is_refused(tmp_path: Path, conten
 def test_a_folder_that_is_no_bag_is_refused(tmp_path: Path) -> None:
     with pytest.raises(LogError, match=r"a folder without metadata\.yaml is no ROS 2 bag"):
         open_recording(tmp_path)
+
+
+@pytest.mark.parametrize("bag_format", ["rosbag1", "rosbag2", "rosbag2-mcap"])
+def test_the_library_itself_understands_what_the_emulator_wrote(
+    tmp_path: Path, bag_format: BagFormat
+) -> None:
+    path = tmp_path / ("out.bag" if bag_format == "rosbag1" else "out")
+    write_bag(path, datagrams(0.3), LIDAR_IP, bag_format)
+    found: dict[str, list[Any]] = {"/livox/lidar": [], "/livox/imu": []}
+    with AnyReader([path]) as reader:
+        if bag_format == "rosbag1":
+            digests = {item.topic: item.digest for item in reader.connections}
+            assert digests == {
+                "/livox/lidar": CUSTOM_DIGEST,
+                "/livox/imu": "6a62c6daae103f4ff57a132d6f95cec2",
+            }
+        for connection, _, data in reader.messages():
+            found[connection.topic].append(reader.deserialize(data, connection.msgtype))
+    first = next(sent for sent in datagrams(0.3) if sent.source[1] == 56300)
+    decoded = decode_points(np.frombuffer(first.payload, np.uint8)[None, :])
+    frame = found["/livox/lidar"][0]
+    assert (frame.timebase, frame.point_num) == (0, len(frame.points))
+    assert (frame.header.frame_id, frame.header.stamp.sec, frame.lidar_id) == ("livox_frame", 0, 192)
+    for index, point in enumerate(frame.points[:96]):
+        assert [point.x, point.y, point.z] == decoded.points_lidar[index].tolist()
+        assert (point.reflectivity, point.tag) == (decoded.reflectivity[index], decoded.tags[index])
+        assert (point.line, point.offset_time) == (index % 4, index * 4947)
+    inertial, sample = found["/livox/imu"][1], samples(received(datagrams(0.3)))[1]
+    assert inertial.header.stamp.nanosec == 10_000_000
+    gyro, accel = inertial.angular_velocity, inertial.linear_acceleration
+    assert [gyro.x, gyro.y, gyro.z] == sample.gyro_imu.tolist()
+    assert [accel.x, accel.y, accel.z] == pytest.approx(list(sample.accel_imu / 9.80665))

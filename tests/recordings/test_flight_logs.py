@@ -1,3 +1,4 @@
+import json
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from companion.messages import Datagram, Odometry, RegisteredScan, SensorEvent
 from companion.perception.odometry.lio import LidarInertialOdometry
 from companion.perception.odometry.settings import OdometrySettings
 from companion.recordings.source import open_recording
+from sitl import cli
 from sitl.livox_emulator import LivoxEmulator, LivoxEmulatorSettings
 from sitl.recording_writers.captures import write_pcap
 from sitl.recording_writers.conversion import Format, convert
@@ -91,6 +93,18 @@ def test_nothing_is_overwritten_and_nothing_invented(flight: Path, tmp_path: Pat
     convert(flight, bag, "rosbag1")
     with pytest.raises(LogError, match="a ROS 1 bag does not hold the sensor's packets"):
         convert(bag, tmp_path / "three.pcap", "pcap")
+
+
+def test_the_verb_says_what_it_wrote(
+    flight: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out.pcapng"
+    assert cli.main(["convert", str(flight), str(out), "--to", "pcapng", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert found == {"sensor": LIDAR_IP, "packets": 2283, "malformed": 0, "exit": 0}
+    assert cli.main(["convert", str(flight), str(out), "--to", "pcapng"]) == 65
+    assert "exists already" in capsys.readouterr().err
+    assert cli.main(["convert", str(tmp_path / "nothing"), str(out), "--to", "pcap"]) == 66
 
 
 def test_odometry_from_a_capture_equals_odometry_in_flight_bit_for_bit(tmp_path: Path) -> None:
