@@ -4,7 +4,7 @@ import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -14,6 +14,8 @@ from companion.exit_codes import ExitCode
 
 if TYPE_CHECKING:
     from companion.config import Profile
+
+_PROGRESS_COLUMNS = 60
 
 app = typer.Typer(
     name="companion",
@@ -172,6 +174,90 @@ def recover(
             print(f"lost: {saved.bytes_lost} bytes, about {saved.seconds_lost:.1f} s")
         result = {name: getattr(saved, name) for name in saved.__slots__}
         return {**result, "path": str(saved.path)}, ExitCode.OK
+
+    conclude(body, json_output)
+
+
+@app.command(epilog="Example: companion replay flight.mcap --odometry-only --set odometry.fine_cell_m=0.2")
+def replay(
+    log: Annotated[
+        Path, typer.Argument(metavar="LOG", help="Flight log, or with --odometry-only a recording.")
+    ],
+    assignments: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="Change a setting; may be repeated."),
+    ] = None,
+    odometry_only: Annotated[
+        bool, typer.Option("--odometry-only", help="Leave out decisions; as fast as the machine can.")
+    ] = False,
+    profile: Annotated[
+        Path | None, typer.Option(metavar="PROFILE", help="Instead of the recorded configuration.")
+    ] = None,
+    tum: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the path, a pose per scan.")] = None,
+    out: Annotated[Path | None, typer.Option(metavar="LOG", help="Write a log of the replay.")] = None,
+    json_output: AsJson = False,
+) -> None:
+    """Run recorded packets through the code that flies and compare what comes out.
+
+    Leaves with 0 if every message is as recorded, or if configuration or version differ, and with 4 if
+    they do not and messages are different all the same. With --odometry-only it also takes packet
+    captures, LVX2 files and ROS bags.
+    """
+
+    def body() -> tuple[Result, ExitCode]:
+        if not log.exists():
+            raise FileNotFoundError(f"{log}: no such file")
+
+        from companion.clock import SystemClock
+        from companion.kernel_cache import load_kernels
+        from companion.replay.command import ReplayRequest
+        from companion.replay.command import replay as run_replay
+        from companion.replay.text import lines_of
+
+        load_kernels()
+        request = ReplayRequest(log, tuple(assignments or ()), profile, odometry_only, tum, out)
+        tells = sys.stderr.isatty()
+        result = run_replay(request, SystemClock(), _show_replay if tells else None)
+        if tells:
+            print("\r" + " " * _PROGRESS_COLUMNS + "\r", end="", file=sys.stderr)
+        if not json_output:
+            for line in lines_of(result):
+                print(line)
+        return result.as_dict(), ExitCode.DIFFERENT if result.broken else ExitCode.OK
+
+    conclude(body, json_output)
+
+
+def _show_replay(fraction: float | None, seconds: float, factor: float) -> None:
+    """Show how far a replay has come."""
+    share = "" if fraction is None else f"{100.0 * fraction:3.0f} %, "
+    line = f"{share}{seconds:.0f} s of flight, {factor:.1f} times real time"
+    print(f"\r{line:<{_PROGRESS_COLUMNS}}", end="", file=sys.stderr, flush=True)
+
+
+@app.command(epilog="Example: companion trajectory flight.mcap --tum flight.tum --source truth")
+def trajectory(
+    log: Annotated[Path, typer.Argument(metavar="LOG", help="Flight log (.mcap).")],
+    tum: Annotated[Path, typer.Option(metavar="FILE", help="File to write.")],
+    source: Annotated[
+        Literal["odometry", "truth"], typer.Option(help="Whose path; only simulated flights hold the truth.")
+    ] = "odometry",
+    json_output: AsJson = False,
+) -> None:
+    """Write the path that a flight log holds as a TUM trajectory."""
+
+    def body() -> tuple[Result, ExitCode]:
+        if not log.is_file():
+            raise FileNotFoundError(f"{log}: no such file")
+
+        from companion.logs.tum import write_tum
+        from companion.replay.motion import recorded_trajectory
+
+        path = recorded_trajectory(log, source)
+        write_tum(tum, path)
+        if not json_output:
+            print(f"{tum}: {len(path)} poses, {path.length_m:.1f} m")
+        return {"tum": str(tum), "poses": len(path), "length_m": path.length_m}, ExitCode.OK
 
     conclude(body, json_output)
 

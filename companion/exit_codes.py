@@ -10,6 +10,9 @@ class ExitCode(IntEnum):
     NO_GO = 3
     """A preflight check failed, or the running companion refused a request."""
 
+    DIFFERENT = 4
+    """A replay did not give what was recorded, though configuration and version are the same."""
+
     USAGE = 64
     """The command line is wrong."""
 

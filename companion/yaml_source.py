@@ -37,7 +37,7 @@ def load(path: Path | str, model: type[_Model]) -> _Model:
         RejectedProfileError: if anything in it is wrong; the text is
             ``file:line:column: key.path: what was found, what is allowed`` and `problems` lists all.
     """
-    return _validated(read_tree(Path(path)), model)
+    return validated(read_tree(Path(path)), model)
 
 
 def loads(text: str | bytes, model: type[_Model], name: str = "text") -> _Model:
@@ -50,10 +50,15 @@ def loads(text: str | bytes, model: type[_Model], name: str = "text") -> _Model:
     assert isinstance(tree.value, dict)
     if EXTENDS in tree.value:
         raise refuse(tree.value[EXTENDS].key_mark, (EXTENDS,), "allowed in files only")
-    return _validated(tree, model)
+    return validated(tree, model)
 
 
-def _validated(tree: Node, model: type[_Model]) -> _Model:
+def validated(tree: Node, model: type[_Model]) -> _Model:
+    """Return the settings that a tree says.
+
+    Raises:
+        RejectedProfileError: if anything in it is wrong.
+    """
     # JSON semantics let a strict model take a list as a tuple, a word as an enum and 3 as 3.0, no more.
     try:
         return model.model_validate_json(json.dumps(tree.plain()))
@@ -109,15 +114,16 @@ def _extended(tree: Node, path: Path, chain: tuple[Path, ...]) -> Node:
             mark, (EXTENDS,), f"found more than {MAX_EXTENDS} files in a chain, allowed {MAX_EXTENDS}"
         )
     base = parse_tree(_read_bytes(base_path, mark, (EXTENDS,)), str(base_path))
-    return _merged(_extended(base, base_path, (*chain, resolved)), own)
+    return merged(_extended(base, base_path, (*chain, resolved)), own)
 
 
-def _merged(base: Node, over: Node) -> Node:
+def merged(base: Node, over: Node) -> Node:
+    """Return `base` with what `over` says: mappings key by key, lists and scalars as a whole."""
     if not isinstance(base.value, dict) or not isinstance(over.value, dict):
         return over
     entries = dict(base.value)
     for key, entry in over.value.items():
         known = entries.get(key)
-        node = entry.node if known is None else _merged(known.node, entry.node)
+        node = entry.node if known is None else merged(known.node, entry.node)
         entries[key] = Entry(entry.key_mark, node)
     return Node(over.mark, entries, base.size + over.size)

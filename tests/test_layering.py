@@ -41,6 +41,7 @@ FLOORS: tuple[frozenset[str], ...] = (
             "perception_thread",
             "preflight",
             "recordings",
+            "replay",
             "runtime",
             "service",
         }
