@@ -172,6 +172,7 @@ class ExternalMotionEstimator:
             if before is not None:  # another process, or one that has started again
                 self._reset_counter += 1
                 self._settled = False
+                self._last_output = (-1, self._last_output[1])
             self._health.begin(t_ns)
             self._state(t_ns, message, np.zeros(3), np.nan_to_num(message.v_map))
             self._path.begin(t_ns, self._motion)
@@ -314,7 +315,7 @@ class ExternalMotionEstimator:
             t_sensor_ns=t_ns,
             reset_counter=self._reset_counter,
             health=health,
-            settings=self._settings,
+            limits=self._limits,
         )
 
     def _sensor_time_ns(self, message: ExternalOdometry) -> int:

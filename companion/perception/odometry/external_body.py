@@ -8,8 +8,8 @@ from companion.geometry import rotation
 from companion.geometry.pose import Pose
 from companion.messages import ExternalOdometry, FloatArray, Odometry
 from companion.perception.odometry.external_path import P, R, V, motion_of
+from companion.perception.odometry.external_settings import ExternalMotionSettings
 from companion.perception.odometry.health import Health
-from companion.perception.odometry.settings import OdometrySettings
 
 _DRIFT_MPS2 = 0.1
 """Acceleration that the IMU may get wrong: its bias, and gravity by the attitude's error."""
@@ -46,7 +46,7 @@ def body_odometry_of(
     t_sensor_ns: int,
     reset_counter: int,
     health: Health,
-    settings: OdometrySettings,
+    limits: ExternalMotionSettings,
 ) -> Odometry:
     """Return the motion of the body that carries the IMU.
 
@@ -60,7 +60,7 @@ def body_odometry_of(
         t_sensor_ns: the same on the LiDAR's clock.
         reset_counter: jumps of the map frame so far.
         health: verdict.
-        settings: floors of the published standard deviations.
+        limits: floors of the published standard deviations.
     """
     R_body_imu = rotation.to_matrix(T_body_imu.q)
     R_map_body = motion[R].reshape(3, 3) @ R_body_imu.T
@@ -71,7 +71,7 @@ def body_odometry_of(
     covariance_pose = message.covariance_pose.copy()
     covariance_pose[:3, :3] += covariance_velocity * age_s**2
     covariance_pose[3:, 3:] += np.eye(3) * (_DRIFT_RADPS * age_s) ** 2
-    rotation_floor = math.radians(settings.rotation_sigma_floor_deg)
+    rotation_floor = math.radians(limits.rotation_sigma_floor_deg)
     return Odometry(
         t_ns=t_ns,
         t_sensor_ns=t_sensor_ns,
@@ -80,9 +80,9 @@ def body_odometry_of(
         v_map=v_map,
         omega_body=omega_body,
         covariance_pose=_at_least(
-            covariance_pose, [settings.position_sigma_floor_m] * 3 + [rotation_floor] * 3
+            covariance_pose, [limits.position_sigma_floor_m] * 3 + [rotation_floor] * 3
         ),
-        covariance_velocity=_at_least(covariance_velocity, [settings.velocity_sigma_floor] * 3),
+        covariance_velocity=_at_least(covariance_velocity, [limits.velocity_sigma_floor_mps] * 3),
         quality=health.quality,
         reset_counter=reset_counter,
         status=health.status,

@@ -25,6 +25,12 @@ class ExternalMotionSettings(Settings):
     """A larger standard deviation of the position is DEGRADED."""
     max_rotation_sigma_deg: float = Field(default=5.0, gt=0.0, le=60.0)
     """A larger standard deviation of the attitude is DEGRADED."""
+    position_sigma_floor_m: float = Field(default=0.02, ge=0.0, le=1.0)
+    """Smallest standard deviation that is passed on, for senders that are too sure of themselves."""
+    rotation_sigma_floor_deg: float = Field(default=0.3, ge=0.0, le=10.0)
+    """The same for each rotation axis."""
+    velocity_sigma_floor_mps: float = Field(default=0.03, ge=0.0, le=1.0)
+    """The same for each velocity axis."""
 
     max_jump_m: float = Field(default=0.3, gt=0.0, le=10.0)
     """A pose farther than this from where the pose before, its stated velocity and the IMU lead is a jump:
