@@ -1,13 +1,14 @@
-"""From the IMU's motion to the body's: lever arms, covariances and their floors."""
+"""From the IMU's motion in the filter's map to the body's in the levelled one."""
 
 import numpy as np
 
 from companion.geometry import rotation
 from companion.geometry.pose import Pose
 from companion.messages import FloatArray, Odometry
+from companion.perception.odometry.body_motion_kernels import MOTION_SIZE, level, publish
 from companion.perception.odometry.health import Health
 from companion.perception.odometry.settings import OdometrySettings
-from companion.perception.odometry.state import GYRO_BIAS, THETA, NavigationState, P, V
+from companion.perception.odometry.state import NavigationState
 
 _NOTHING_KNOWN = 1e6
 
@@ -17,54 +18,67 @@ def cross_matrix(v: FloatArray) -> FloatArray:
     return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
 
 
+class Mounting:
+    """Where the body is in the IMU frame, and what its odometry must not claim, ready for the kernel."""
+
+    def __init__(self, T_imu_body: Pose, settings: OdometrySettings) -> None:
+        """Take the body's pose in the IMU frame, and the floors and factor of the settings."""
+        self.p_imu_body = np.ascontiguousarray(T_imu_body.p, dtype=np.float64)
+        self.R_imu_body = np.ascontiguousarray(rotation.to_matrix(T_imu_body.q))
+        self.correlation = settings.residual_correlation
+        self.floors = np.square(
+            [
+                settings.position_sigma_floor_m,
+                float(np.radians(settings.rotation_sigma_floor_deg)),
+                settings.velocity_sigma_floor,
+            ]
+        )
+
+
 def body_odometry(
     state: NavigationState,
+    anchored: FloatArray,
     omega_imu: FloatArray,
-    T_imu_body: Pose,
+    mounting: Mounting,
     t_ns: int,
     reset_counter: int,
     health: Health,
-    settings: OdometrySettings,
 ) -> Odometry:
-    """Return the motion of the body that carries the IMU.
+    """Return the motion of the body that carries the IMU, in the levelled map.
 
     Args:
-        state: motion of the IMU and its covariance.
+        state: motion of the IMU and its covariance against the filter's own map.
+        anchored: (6, 6) covariance of that map's twist against the start, see `Anchor`.
         omega_imu: (3,) rate at the state's time, free of bias, rad/s.
-        T_imu_body: body in the IMU frame.
+        mounting: of the IMU on the body.
         t_ns: host time of the state.
         reset_counter: jumps of the map frame so far.
         health: verdict on the state.
-        settings: floors of the published standard deviations.
     """
-    R_map_imu = state.R_map_imu
-    R_imu_body = rotation.to_matrix(T_imu_body.q)
-    lever_imu = T_imu_body.p
-    swing_imu = cross_matrix(omega_imu) @ lever_imu
-
-    pose_jacobian = np.zeros((6, 18))
-    pose_jacobian[0:3, P] = np.eye(3)
-    pose_jacobian[0:3, THETA] = -R_map_imu @ cross_matrix(lever_imu)
-    pose_jacobian[3:6, THETA] = R_imu_body.T
-    velocity_jacobian = np.zeros((3, 18))
-    velocity_jacobian[:, V] = np.eye(3)
-    velocity_jacobian[:, THETA] = -R_map_imu @ cross_matrix(swing_imu)
-    velocity_jacobian[:, GYRO_BIAS] = R_map_imu @ cross_matrix(lever_imu)
-    rotation_floor = np.radians(settings.rotation_sigma_floor_deg)
+    motion = np.empty(MOTION_SIZE)
+    pose_covariance, velocity_covariance = np.empty((6, 6)), np.empty((3, 3))
+    publish(
+        state.vector,
+        state.covariance,
+        anchored,
+        omega_imu,
+        mounting.p_imu_body,
+        mounting.R_imu_body,
+        mounting.correlation,
+        mounting.floors,
+        motion,
+        pose_covariance,
+        velocity_covariance,
+    )
     return Odometry(
         t_ns=t_ns,
         t_sensor_ns=state.t_ns,
-        p_map=state.p_map + R_map_imu @ lever_imu,
-        q_map_body=rotation.from_matrix(R_map_imu @ R_imu_body),
-        v_map=state.v_map + R_map_imu @ swing_imu,
-        omega_body=R_imu_body.T @ omega_imu,
-        covariance_pose=_at_least(
-            pose_jacobian @ state.covariance @ pose_jacobian.T,
-            [settings.position_sigma_floor_m] * 3 + [float(rotation_floor)] * 3,
-        ),
-        covariance_velocity=_at_least(
-            velocity_jacobian @ state.covariance @ velocity_jacobian.T, [settings.velocity_sigma_floor] * 3
-        ),
+        p_map=motion[0:3],
+        q_map_body=motion[3:7],
+        v_map=motion[7:10],
+        omega_body=motion[10:13],
+        covariance_pose=pose_covariance,
+        covariance_velocity=velocity_covariance,
         quality=health.quality,
         reset_counter=reset_counter,
         status=health.status,
@@ -72,11 +86,11 @@ def body_odometry(
     )
 
 
-def _at_least(covariance: FloatArray, sigmas: list[float]) -> FloatArray:
-    """Return a symmetric covariance whose diagonal reaches given standard deviations."""
-    symmetric = 0.5 * (covariance + covariance.T)
-    diagonal = np.diagonal(symmetric)
-    return np.asarray(symmetric + np.diag(np.maximum(0.0, np.square(sigmas) - diagonal)))
+def level_rotation(state: NavigationState) -> FloatArray:
+    """Return R_level_map (3, 3), the smallest rotation that takes the state's gravity straight down."""
+    R_level_map = np.empty((3, 3))
+    level(state.g_map, R_level_map)
+    return R_level_map
 
 
 def no_odometry(t_ns: int, t_sensor_ns: int, reset_counter: int, health: Health) -> Odometry:

@@ -22,7 +22,8 @@ from companion.messages import (
     SensorEvent,
 )
 from companion.perception.odometry import kernels
-from companion.perception.odometry.body_motion import body_odometry, no_odometry
+from companion.perception.odometry.anchor import Anchor
+from companion.perception.odometry.body_motion import Mounting, body_odometry, level_rotation, no_odometry
 from companion.perception.odometry.health import Health, HealthMonitor
 from companion.perception.odometry.initialisation import StaticInitialiser
 from companion.perception.odometry.preprocessing import MOST_POINTS, Thinning, nearest_first, usable_points
@@ -53,11 +54,13 @@ class LidarInertialOdometry:
         """
         self._settings = settings
         self._T_imu_body = (T_body_lidar @ T_lidar_imu).inverse()
+        self._mounting = Mounting(self._T_imu_body, settings)
         T_imu_lidar = T_lidar_imu.inverse()
         self._imu_lidar = np.concatenate([rotation.to_matrix(T_imu_lidar.q).ravel(), T_imu_lidar.p])
         self.fine_map = VoxelMap(settings.fine_cell_m, settings.fine_blocks, settings.map_radius_m)
         self.coarse_map = VoxelMap(settings.coarse_cell_m, settings.coarse_blocks, settings.map_radius_m)
         self.sequencer = Sequencer(settings)
+        self.anchor = Anchor(settings.residual_correlation)
         self.last_correction: Correction | None = None
         self._initialiser = StaticInitialiser(settings, self._T_imu_body)
         self._propagation = Propagation(settings)
@@ -120,6 +123,8 @@ class LidarInertialOdometry:
         )
         chosen = self._thinning.choose(points_imu)
         correction = self._matcher.correct(state, points_imu, chosen)
+        if correction.accepted:
+            self._inherit(correction, points_imu, chosen)
         if correction.wide:  # the pose jumps by more than it admitted
             self._reset_counter += 1
         state = correction.state
@@ -181,6 +186,7 @@ class LidarInertialOdometry:
             t_ns = self._host_time_ns(sample.t_sensor_ns)
             return [no_odometry(t_ns, sample.t_sensor_ns, self._reset_counter, health)]
         self._scan_state, self._head = state, state.copy()
+        self.anchor.restart()
         self._health = HealthMonitor(self._settings, sample.t_sensor_ns)
         self._last_output = (-1, self._last_output[1])
         return []
@@ -215,6 +221,20 @@ class LidarInertialOdometry:
         t_sensor_ns = self.sequencer.history.last_ns
         return no_odometry(self._host_time_ns(t_sensor_ns), t_sensor_ns, self._reset_counter, health)
 
+    def _inherit(self, correction: Correction, points_imu: FloatArray, chosen: NDArray[np.int64]) -> None:
+        """Let the anchor know which ground a scan was matched to."""
+        anchor = self.anchor
+        self._matcher.share_by_birth(
+            correction.state,
+            points_imu,
+            chosen,
+            anchor.starts,
+            anchor.periods,
+            anchor.information,
+            anchor.weights,
+        )
+        anchor.follow(correction, self.fine_map.stamp + 1)
+
     def _insert(self, points_imu: FloatArray, chosen: NDArray[np.int64], state: NavigationState) -> None:
         """Fuse all points into the fine map; the coarse one, which serves sparse places, needs but a few."""
         self.fine_map.insert(points_imu, state.vector, self._settings.fine_range_m)
@@ -231,7 +251,10 @@ class LidarInertialOdometry:
     ) -> RegisteredScan:
         """Return the scan in the map with the body's motion at its end."""
         kept = nearest_first(points_imu, self._settings.registered_points)
-        points_map: PointArray = (points_imu[kept] @ state.R_map_imu.T + state.p_map).astype(np.float32)
+        level = level_rotation(state)
+        points_map: PointArray = (
+            points_imu[kept] @ (level @ state.R_map_imu).T + level @ state.p_map
+        ).astype(np.float32)
         omega_imu = self._propagation.end_rate
         odometry = self._odometry(state, omega_imu, health)
         return RegisteredScan(
@@ -241,12 +264,12 @@ class LidarInertialOdometry:
     def _odometry(self, state: NavigationState, omega_imu: FloatArray, health: Health) -> Odometry:
         return body_odometry(
             state,
+            self.anchor.covariance,
             omega_imu,
-            self._T_imu_body,
+            self._mounting,
             self._host_time_ns(state.t_ns),
             self._reset_counter,
             health,
-            self._settings,
         )
 
     def _follow_clock(self, event: ImuSample | LidarScan) -> None:

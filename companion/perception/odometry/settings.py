@@ -16,7 +16,7 @@ class OdometrySettings(Settings):
     external: ExternalMotionSettings = ExternalMotionSettings()
     """What the other process's odometry has to be like; for the source `external` only."""
 
-    output_hz: float = Field(default=50.0, ge=1.0, le=400.0)
+    output_hz: float = Field(default=200.0, ge=1.0, le=400.0)
     """Rate of the forward-propagated odometry; never more than one per IMU sample."""
     registered_points: int = Field(default=20_000, ge=100, le=100_000)
     """Most points of one registered scan; above it, farther points are thinned before nearer ones."""
@@ -116,9 +116,12 @@ class OdometrySettings(Settings):
     lost_after_s: float = Field(default=4.0, ge=0.5, le=10.0)
     """Without an accepted scan for this long the status is LOST and the odometry restarts."""
 
-    position_sigma_floor_m: float = Field(default=0.02, ge=0.0, le=1.0)
+    residual_correlation: float = Field(default=4.0, ge=1.0, le=100.0)
+    """How many times larger the variance of a matched pose is than if all residuals were independent:
+    they share the map's errors, which do not average out."""
+    position_sigma_floor_m: float = Field(default=5e-4, ge=0.0, le=1.0)
     """Smallest published standard deviation of each position axis."""
-    rotation_sigma_floor_deg: float = Field(default=0.3, ge=0.0, le=10.0)
+    rotation_sigma_floor_deg: float = Field(default=0.005, ge=0.0, le=10.0)
     """Smallest published standard deviation of each rotation axis."""
-    velocity_sigma_floor: float = Field(default=0.03, ge=0.0, le=1.0)
+    velocity_sigma_floor: float = Field(default=0.002, ge=0.0, le=1.0)
     """Smallest published standard deviation of each velocity axis, m/s."""

@@ -89,6 +89,31 @@ class ScanMatcher:
         wide.covariance[range(9), range(9)] += np.square(sigmas)
         return wide
 
+    def share_by_birth(
+        self,
+        state: NavigationState,
+        points_imu: FloatArray,
+        chosen: NDArray[np.int64],
+        starts: NDArray[np.int64],
+        count: int,
+        information: FloatArray,
+        weights: FloatArray,
+    ) -> None:
+        """Split what corrected a state by when the ground it rests on was first seen.
+
+        Args:
+            state: as the newest `correct` returned it.
+            points_imu: as given to it.
+            chosen: as given to it.
+            starts: (>= count,) first birth of each period, ascending.
+            count: number of periods.
+            information: (>= count, 6, 6) receives H' W H of each period.
+            weights: (>= count,) receives the sum of weights of each period.
+        """
+        matching_kernels.share_by_birth(
+            points_imu, chosen, self._planes, state.vector, starts, count, information, weights
+        )
+
     def _iterate(
         self, predicted: NavigationState, points_imu: FloatArray, chosen: NDArray[np.int64]
     ) -> Correction:

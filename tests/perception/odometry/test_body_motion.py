@@ -1,16 +1,21 @@
 import numpy as np
+import pytest
 
 from companion.geometry import rotation
 from companion.geometry.pose import Pose
 from companion.messages import FloatArray, Odometry, OdometryStatus
-from companion.perception.odometry.body_motion import body_odometry
+from companion.perception.odometry.body_motion import Mounting, body_odometry, level_rotation
 from companion.perception.odometry.health import Health
 from companion.perception.odometry.settings import OdometrySettings
 from companion.perception.odometry.state import NavigationState
 
 NO_FLOORS = OdometrySettings(
-    position_sigma_floor_m=0.0, rotation_sigma_floor_deg=0.0, velocity_sigma_floor=0.0
+    position_sigma_floor_m=0.0,
+    rotation_sigma_floor_deg=0.0,
+    velocity_sigma_floor=0.0,
+    residual_correlation=1.0,
 )
+CERTAIN = np.zeros((6, 6))
 T_IMU_BODY = Pose.of([-0.3, 0.2, -0.1], rotation.exp([0.1, -0.4, 0.7]))
 GYRO = np.array([0.5, -1.0, 2.0])
 HEALTH = Health(OdometryStatus.TRACKING, 90, "")
@@ -23,21 +28,33 @@ def _state() -> NavigationState:
     vector[3:12] = rotation.to_matrix(rotation.exp([0.2, 0.1, -1.0])).ravel()
     vector[12:15] = [1.0, -2.0, 0.5]
     vector[15:18] = [0.01, 0.02, -0.01]
-    vector[21:24] = [0.0, 0.0, -9.81]
+    vector[21:24] = 9.81 * np.array([0.02, -0.05, -1.0]) / np.linalg.norm([0.02, -0.05, -1.0])
     root = rng.normal(0.0, 0.02, (18, 18))
     return NavigationState(7, vector, root @ root.T)
 
 
-def _odometry(state: NavigationState, settings: OdometrySettings = NO_FLOORS) -> Odometry:
-    return body_odometry(state, GYRO - state.gyro_bias, T_IMU_BODY, 11, 2, HEALTH, settings)
+def _odometry(
+    state: NavigationState, settings: OdometrySettings = NO_FLOORS, anchored: FloatArray = CERTAIN
+) -> Odometry:
+    mounting = Mounting(T_IMU_BODY, settings)
+    return body_odometry(state, anchored, GYRO - state.gyro_bias, mounting, 11, 2, HEALTH)
+
+
+def _level(state: NavigationState) -> Pose:
+    """The smallest rotation that takes the state's gravity straight down, readably."""
+    down = state.g_map / np.linalg.norm(state.g_map)
+    axis = np.cross(down, [0.0, 0.0, -1.0])
+    sine = float(np.linalg.norm(axis))
+    return Pose.of(np.zeros(3), rotation.exp(axis * np.arctan2(sine, -down[2]) / sine))
 
 
 def test_the_body_is_where_the_mounting_puts_it() -> None:
     state = _state()
     odometry = _odometry(state)
-    T_map_body = Pose.of(state.p_map, rotation.from_matrix(state.R_map_imu)) @ T_IMU_BODY
-    np.testing.assert_allclose(odometry.p_map, T_map_body.p, atol=1e-12)
-    assert float(rotation.angle_between(odometry.q_map_body, T_map_body.q)) < 1e-9
+    T_map_imu = Pose.of(state.p_map, rotation.from_matrix(state.R_map_imu))
+    T_level_body = _level(state) @ T_map_imu @ T_IMU_BODY
+    np.testing.assert_allclose(odometry.p_map, T_level_body.p, atol=1e-12)
+    assert float(rotation.angle_between(odometry.q_map_body, T_level_body.q)) < 1e-9
     assert (odometry.t_ns, odometry.t_sensor_ns, odometry.reset_counter, odometry.quality) == (11, 7, 2, 90)
 
 
@@ -65,7 +82,7 @@ def test_the_covariance_follows_the_numerical_jacobian() -> None:
     state = _state()
     odometry = _odometry(state)
     jacobian = np.zeros((9, 18))
-    for i in range(15):
+    for i in range(18):
         error = np.zeros(18)
         error[i] = 1e-6
         jacobian[:, i] = _difference(_odometry(state.plus(error)), odometry) / 1e-6
@@ -74,9 +91,59 @@ def test_the_covariance_follows_the_numerical_jacobian() -> None:
     np.testing.assert_allclose(odometry.covariance_velocity, expected[6:, 6:], atol=1e-7)
 
 
+def test_a_twist_of_the_map_adds_what_it_does_to_pose_velocity_and_gravity() -> None:
+    state = _state()
+    state.covariance[:] = 0.0
+    root = np.random.default_rng(2).normal(0.0, 0.02, (6, 6))
+    odometry = _odometry(state)
+    jacobian = np.zeros((9, 6))
+    for i in range(6):
+        twist = np.zeros(6)
+        twist[i] = 1e-6
+        turn = rotation.exp(twist[3:])
+        moved = state.copy()
+        moved.p_map[:] = rotation.rotate(turn, state.p_map) + twist[:3]
+        moved.vector[3:12] = (rotation.to_matrix(turn) @ state.R_map_imu).ravel()
+        moved.v_map[:] = rotation.rotate(turn, state.v_map)
+        moved.g_map[:] = rotation.rotate(turn, state.g_map)
+        jacobian[:, i] = _difference(_odometry(moved), odometry) / 1e-6
+    expected = jacobian @ root @ root.T @ jacobian.T
+    twisted = _odometry(state, anchored=root @ root.T)
+    np.testing.assert_allclose(twisted.covariance_pose, expected[:6, :6], atol=1e-6)
+    np.testing.assert_allclose(twisted.covariance_velocity, expected[6:, 6:], atol=1e-6)
+    # A map that is turned about a level axis is levelled again: only its heading stays uncertain.
+    assert np.linalg.matrix_rank(twisted.covariance_pose[3:, 3:], tol=1e-5) == 1
+
+
+def test_correlated_residuals_widen_the_pose_and_leave_gravity_alone() -> None:
+    state = _state()
+    keep = np.zeros((18, 18))
+    keep[:6, :6] = state.covariance[:6, :6]
+    state.covariance[:] = keep
+    wide = NO_FLOORS.model_copy(update={"residual_correlation": 3.0})
+    np.testing.assert_allclose(
+        _odometry(state, wide).covariance_pose, 3.0 * _odometry(state).covariance_pose, rtol=1e-9, atol=1e-15
+    )
+    state.covariance[:] = 0.0
+    state.covariance[15:, 15:] = np.diag([1e-4, 1e-4, 1e-4])
+    np.testing.assert_array_equal(_odometry(state, wide).covariance_pose, _odometry(state).covariance_pose)
+
+
+@pytest.mark.parametrize("g_map", [[0.0, 0.0, -9.8], [1.0, -2.0, -9.0], [9.8, 0.0, 0.0], [0.3, 0.1, 9.7]])
+def test_levelling_turns_gravity_down_by_the_smallest_rotation(g_map: list[float]) -> None:
+    state = _state()
+    state.g_map[:] = g_map
+    level = level_rotation(state)
+    length = float(np.linalg.norm(g_map))
+    np.testing.assert_allclose(level @ g_map, [0.0, 0.0, -length], atol=1e-9)
+    np.testing.assert_allclose(level @ level.T, np.eye(3), atol=1e-12)
+    angle = float(rotation.angle_between(rotation.IDENTITY, rotation.from_matrix(level)))
+    assert angle == pytest.approx(float(np.arccos(-g_map[2] / length)), abs=1e-6)
+
+
 def test_published_deviations_never_fall_below_their_floors() -> None:
     state = _state()
-    state.covariance[:] *= 1e-9
+    state.covariance[:] *= 1e-12
     settings = OdometrySettings()
     odometry = _odometry(state, settings)
     np.testing.assert_allclose(
@@ -86,6 +153,17 @@ def test_published_deviations_never_fall_below_their_floors() -> None:
         np.degrees(np.sqrt(np.diag(odometry.covariance_pose)[3:])), settings.rotation_sigma_floor_deg
     )
     np.testing.assert_allclose(np.sqrt(np.diag(odometry.covariance_velocity)), settings.velocity_sigma_floor)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1.5, 3.1, -3.1])
+def test_every_attitude_is_published_as_a_proper_quaternion(angle: float) -> None:
+    for axis in np.eye(3):
+        state = _state()
+        state.vector[3:12] = rotation.to_matrix(rotation.exp(angle * axis)).ravel()
+        T_level_body = _level(state) @ Pose.of(np.zeros(3), rotation.exp(angle * axis)) @ T_IMU_BODY
+        q = _odometry(state).q_map_body
+        assert q[0] >= 0.0
+        assert float(rotation.angle_between(q, T_level_body.q)) < 1e-7
 
 
 def test_a_moved_state_keeps_a_proper_attitude_and_the_length_of_gravity() -> None:
