@@ -22,6 +22,7 @@ from sitl.sensors.mid360 import Mid360Model, Mid360Settings
 from sitl.slots import SLOT_PERIOD_NS, PointSlots
 from sitl.wind import Wind, WindSettings
 from sitl.worlds.bodies import Bodies, poses_midway
+from sitl.worlds.distractors import Distractors
 from sitl.worlds.primitives import World
 from sitl.worlds.uav_body import UavBodySettings, rotor_turns, uav_body
 
@@ -44,7 +45,8 @@ class SwarmScene:
     """A world, and what the swarm does in it.
 
     Attributes:
-        world: what stands there.
+        world: what stands there, distractors included.
+        distractors: the people who walk there, and what of the world only looks like a UAV.
         plan: where the vehicles want to be; vehicle 0 carries the sensor.
         uavs: their number, the ego vehicle included.
         yaw_rate: mean turn of the ego vehicle about the vertical, rad/s.
@@ -56,6 +58,7 @@ class SwarmScene:
     """
 
     world: World
+    distractors: Distractors
     plan: Plan
     uavs: int
     yaw_rate: float = 0.2
@@ -106,11 +109,12 @@ def stream(
     imu_model = ImuModel(rng, T_BODY_LIDAR, scene.imu)
     lidar_model = Mid360Model(rng, T_BODY_LIDAR, lidar or Mid360Settings())
     wind = Wind(rng, scene.uavs, scene.wind)
-    rotor_hz = _ROTOR_HZ * rng.uniform(0.95, 1.05, scene.uavs - 1)
-    bodies = Bodies(scene.world, [uav_body(scene.body)] * (scene.uavs - 1))
+    others, people = scene.uavs - 1, scene.distractors.people
+    rotor_hz = np.append(_ROTOR_HZ * rng.uniform(0.95, 1.05, others), np.zeros(len(people)))
+    bodies = Bodies(scene.world, [*[uav_body(scene.body)] * others, *people])
     pillars = uprights(scene.world)
     hull = scene.body.hull_size_m
-    sights = SightCounter(scene.uavs - 1, 0.5 * max(hull[:2]), 0.5 * hull[2])
+    sights = SightCounter(others, 0.5 * max(hull[:2]), 0.5 * hull[2])
     start_world = scene.plan(0.0)
     start_world[0, 2] = 0.0
     state = dynamics.at_rest(start_world, np.linspace(0.4, 5.0, scene.uavs), settings=scene.vehicle)
@@ -127,10 +131,13 @@ def stream(
         )
         start, end = state.kinematics(0), after.kinematics(0)
         sample = imu_model.sample(start_ns, start, end_ns, end, float(after.thrust[0]))
+        p_others, q_others = poses_midway(
+            state.p_world[1:], state.q_world_body[1:], after.p_world[1:], after.q_world_body[1:]
+        )
+        p_people, q_people = scene.distractors.poses((index + 0.5) * dynamics.STEP_S)
         world = bodies.at(
-            *poses_midway(
-                state.p_world[1:], state.q_world_body[1:], after.p_world[1:], after.q_world_body[1:]
-            ),
+            np.vstack([p_others, p_people]),
+            np.vstack([q_others, q_people]),
             turns=rotor_turns(rotor_hz, index * dynamics.STEP_S),
         )
         seen = lidar_model.observe(

@@ -1,6 +1,7 @@
 """Scenes of swarms by name, for judging how well neighbours are seen; each another one for every seed."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from numpy.random import Generator
@@ -16,12 +17,14 @@ from sitl.bench.swarm_motion import Plan, Ring, figure_eight, procession, rings
 from sitl.bench.swarm_truth import MapFrame as MapFrame
 from sitl.bench.swarm_truth import NeighbourSights as NeighbourSights
 from sitl.wind import WindSettings
+from sitl.worlds.distractors import DistractorSettings, no_distractors, place_distractors
 from sitl.worlds.pillars import PillarFieldSettings, pillar_field
 from sitl.worlds.primitives import World
 from sitl.worlds.uav_body import UavBodySettings
 
 _HEIGHT_M = 1.6
 _ROOM_BETWEEN_M = 1.1
+_PLANNED_S = 120.0
 
 
 class SwarmSettings(Settings):
@@ -31,8 +34,8 @@ class SwarmSettings(Settings):
     """Vehicles, the ego vehicle included."""
     range_m: float = Field(default=5.0, ge=1.0, le=15.0)
     """Distance of the neighbours in `ring` and `hover`."""
-    distractors: bool = False
-    """Signs, vests and tape on poles and pillars stand about."""
+    distractors: DistractorSettings | None = None
+    """Signs, vests and tape on poles and pillars that stand about; none by default."""
     body: UavBodySettings = UavBodySettings()
     """How every vehicle looks; its tape can be taken off here."""
 
@@ -40,13 +43,13 @@ class SwarmSettings(Settings):
 def _ring(rng: Generator, settings: SwarmSettings) -> SwarmScene:
     _check_room(settings)
     wanted = [Ring(settings.range_m, settings.uavs - 1)]
-    return SwarmScene(_open(rng), rings(rng, wanted, _HEIGHT_M, 0.2), settings.uavs, body=settings.body)
+    return _staged(rng, settings, _open(rng), rings(rng, wanted, _HEIGHT_M, 0.2))
 
 
 def _hover(rng: Generator, settings: SwarmSettings) -> SwarmScene:
     _check_room(settings)
     wanted = [Ring(settings.range_m, settings.uavs - 1, speed=0.0, breath_m=0.0)]
-    return SwarmScene(_open(rng), rings(rng, wanted, _HEIGHT_M, 0.0), settings.uavs, body=settings.body)
+    return _staged(rng, settings, _open(rng), rings(rng, wanted, _HEIGHT_M, 0.0))
 
 
 def _crowd(rng: Generator, settings: SwarmSettings) -> SwarmScene:
@@ -57,7 +60,7 @@ def _crowd(rng: Generator, settings: SwarmSettings) -> SwarmScene:
         Ring(4.8, max(min(middle, others - inner), 0), speed=1.5),
         Ring(7.5, max(others - inner - middle, 0)),
     ]
-    return SwarmScene(_open(rng), rings(rng, wanted, _HEIGHT_M, 0.2), settings.uavs, body=settings.body)
+    return _staged(rng, settings, _open(rng), rings(rng, wanted, _HEIGHT_M, 0.2))
 
 
 def _weave(rng: Generator, settings: SwarmSettings) -> SwarmScene:
@@ -67,7 +70,7 @@ def _weave(rng: Generator, settings: SwarmSettings) -> SwarmScene:
         spawn_clear_m=0.0,
     )  # fmt: skip
     world = _without_those_near(pillar_field(rng, field), plan)
-    return SwarmScene(world, plan, settings.uavs, body=settings.body)
+    return _staged(rng, settings, world, plan)
 
 
 def _aggressive(rng: Generator, settings: SwarmSettings) -> SwarmScene:
@@ -75,11 +78,23 @@ def _aggressive(rng: Generator, settings: SwarmSettings) -> SwarmScene:
     plan = procession(
         rng, settings.uavs, course.half_axes_m, 3.1, course.height_m, 2.2, 0.6 * course.height_sway_m
     )
-    return SwarmScene(
-        course.world, plan, settings.uavs, yaw_rate=course.yaw_rate, yaw_sway=course.yaw_sway,
-        body=settings.body, imu=course.imu, vehicle=course.vehicle,
+    return replace(
+        _staged(rng, settings, course.world, plan),
+        yaw_rate=course.yaw_rate, yaw_sway=course.yaw_sway, imu=course.imu, vehicle=course.vehicle,
         wind=WindSettings(mean_world_mps=(2.0, 1.0, 0.0), gust_mps=0.8, vertical_gust_mps=0.3),
     )  # fmt: skip
+
+
+def _staged(rng: Generator, settings: SwarmSettings, world: World, plan: Plan) -> SwarmScene:
+    """Put the distractors where the plan leaves room."""
+    flown = [plan(t) for t in np.arange(0.0, _PLANNED_S, 0.25)]
+    take_off = np.column_stack([np.tile(flown[0][0, :2], (8, 1)), np.linspace(0.1, flown[0][0, 2], 8)])
+    distractors = (
+        place_distractors(rng, world, np.vstack([*flown, take_off]), settings.distractors)
+        if settings.distractors
+        else no_distractors()
+    )
+    return SwarmScene(world.joined(distractors.fixed), distractors, plan, settings.uavs, body=settings.body)
 
 
 SCENES: dict[str, Callable[[Generator, SwarmSettings], SwarmScene]] = {

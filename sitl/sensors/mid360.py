@@ -1,12 +1,4 @@
-"""Livox Mid-360: from a body's motion through a world to measured slots.
-
-Sources of the figures: datasheet (40 m at 10 %, 70 m at 80 % reflectivity; range deviation at most 2 cm
-at 10 m; angle deviation below 0.15 degrees) and published measurements on real units for noise and
-misses against incidence, the blanking after near returns and the shares of tags. Of the two noise
-figures the measured one is the default: 8 mm at 10 m and normal incidence, which the datasheet's bound
-admits; `range_noise_scale` 2.5 is the bound itself. The width of a beam, the share of spurious points
-and the fall of reflectivity with incidence (Lambert's cosine) are assumptions.
-"""
+"""Livox Mid-360: from a body's motion through a world to measured slots."""
 
 import math
 from dataclasses import dataclass
@@ -14,71 +6,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
-from pydantic import Field
 
 from companion.geometry import rotation
 from companion.geometry.pose import Pose
 from companion.messages import FloatArray
-from companion.settings import Settings
 from sitl.kinematics import BodyTrajectory
 from sitl.sensors import ranging_kernels as kernels
+from sitl.sensors.mid360_settings import Mid360Settings as Mid360Settings
+from sitl.sensors.return_kernels import find_mirrors, form_returns
 from sitl.sensors.scan_kernels import FIRING_PERIOD_NS, LINES
 from sitl.sensors.scan_pattern import ScanPattern
 from sitl.slots import PointSlots
-from sitl.worlds.primitives import World
-
-
-class Mid360Settings(Settings):
-    """Imperfections of one unit."""
-
-    range_noise_scale: float = Field(default=1.0, ge=0.0, le=100.0)
-    """Multiplies the measured range deviation; 0 switches range noise off."""
-    angle_noise_deg: float = Field(default=0.05, ge=0.0, le=5.0)
-    """Standard deviation of the reported azimuth and elevation."""
-    beam_half_width_deg: float = Field(default=0.12, ge=0.0, le=2.0)
-    """Half width of a beam; it makes mixed points at edges."""
-    range_at_10_percent_m: float = Field(default=40.0, gt=0.0, le=500.0)
-    """Distance at which a surface of 10 % reflectivity returns every second time."""
-    range_at_80_percent_m: float = Field(default=70.0, gt=0.0, le=500.0)
-    """The same at 80 %."""
-    max_range_m: float = Field(default=100.0, gt=0.0, le=500.0)
-    """Nothing is seen beyond, not even a retro-reflector."""
-    min_range_m: float = Field(default=0.1, ge=0.0, le=5.0)
-    """Nothing is reported from nearer."""
-    pulse_length_m: float = Field(default=0.75, ge=0.0, le=10.0)
-    """Two surfaces in one beam nearer to each other than this merge into one point between them."""
-    edge_gap_m: float = Field(default=0.1, ge=0.0, le=10.0)
-    """Two surfaces nearer to each other than this do not count as an edge."""
-    spurious_probability: float = Field(default=1e-4, ge=0.0, le=1.0)
-    """Chance of a slot to report a point where nothing is."""
-    tag_scale: float = Field(default=1.0, ge=0.0, le=70.0)
-    """Multiplies the share of ordinary returns tagged as doubtful (1.35 %)."""
-    near_range_blanking: bool = True
-    """A return from nearer than 0.55 m (less often up to 0.89 m) costs its line the next firing."""
-
-    @classmethod
-    def ideal(cls) -> "Mid360Settings":
-        """Return a unit without noise, doubt or blanking; only misses by incidence and range remain."""
-        return cls(
-            range_noise_scale=0.0, angle_noise_deg=0.0, beam_half_width_deg=0.0, spurious_probability=0.0,
-            tag_scale=0.0, near_range_blanking=False,
-        )  # fmt: skip
-
-    def packed(self) -> FloatArray:
-        """Return the numbers in the order of the kernels' parameter array."""
-        parameters = np.zeros(kernels.N_PARAMETERS)
-        parameters[kernels.RANGE_NOISE_SCALE] = self.range_noise_scale
-        parameters[kernels.ANGLE_NOISE_RAD] = math.radians(self.angle_noise_deg)
-        parameters[kernels.RANGE_AT_TENTH_M] = self.range_at_10_percent_m
-        ratio = self.range_at_80_percent_m / self.range_at_10_percent_m
-        parameters[kernels.RANGE_EXPONENT] = math.log(ratio) / math.log(8.0)
-        parameters[kernels.MIN_RANGE_M] = self.min_range_m
-        parameters[kernels.PULSE_LENGTH_M] = self.pulse_length_m
-        parameters[kernels.EDGE_GAP_M] = self.edge_gap_m
-        parameters[kernels.SPURIOUS_PROBABILITY] = self.spurious_probability
-        parameters[kernels.TAG_SCALE] = self.tag_scale
-        parameters[kernels.BLANKING] = float(self.near_range_blanking)
-        return parameters
+from sitl.worlds.primitives import Hits, World
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -140,6 +79,8 @@ class Mid360Model:
             self._seed,
             first_slot,
             math.radians(self._settings.beam_half_width_deg),
+            math.radians(self._settings.halo_half_width_deg),
+            self._settings.halo_probability,
             np.require(trajectory.t_sensor_ns, np.int64, ["C", "W"]),
             np.ascontiguousarray(trajectory.p_world + rotation.rotate(q_world_body, self._T_body_lidar.p)),
             rotation.multiply(q_world_body, self._T_body_lidar.q),
@@ -149,22 +90,42 @@ class Mid360Model:
             rims,
         )
         hits = world.cast(origins, axes, self._settings.max_range_m)
-        rim_hits = (
-            world.cast(origins, rims, self._settings.max_range_m)
-            if self._settings.beam_half_width_deg > 0.0
-            else hits
-        )
+        has_width = self._settings.beam_half_width_deg > 0.0 or self._settings.halo_probability > 0.0
+        rim_hits = world.cast(origins, rims, self._settings.max_range_m) if has_width else hits
+        mirrored = self._mirrored(first_slot, origins, axes, hits, world)
         slots = PointSlots(
             first_slot, np.empty((count, 3)), np.empty(count, np.uint8), np.empty(count, np.uint8)
         )
         sources = np.empty(count, np.int32)
-        kernels.form_returns(
+        form_returns(
             self._seed, first_slot, self._parameters, directions_lidar,
-            hits.ranges, hits.indices, hits.cosines, rim_hits.ranges, rim_hits.indices, rim_hits.cosines,
+            hits.ranges, hits.indices, hits.cosines,
+            mirrored.ranges, mirrored.indices, mirrored.cosines,
+            rim_hits.ranges, rim_hits.indices, rim_hits.cosines,
             world.reflectivity, world.retro_reflective, self._blanked,
             slots.points_lidar, slots.reflectivity, slots.tags, sources,
         )  # fmt: skip
         return Observation(slots, hits.indices, sources)
+
+    def _mirrored(
+        self, first_slot: int, origins: FloatArray, axes: FloatArray, hits: Hits, world: World
+    ) -> Hits:
+        """Return what beams see mirrored by the ground, with ranges along the whole way."""
+        n = len(origins)
+        mirrored = Hits(np.full(n, math.inf), np.full(n, -1, np.int32), np.zeros(n))
+        if self._settings.mirror_probability > 0.0:
+            points, directions, numbers = np.empty((n, 3)), np.empty((n, 3)), np.empty(n, np.int64)
+            count = find_mirrors(
+                self._seed, first_slot, self._settings.mirror_probability, origins, axes,
+                world.kinds, hits.ranges, hits.indices, hits.cosines, points, directions, numbers,
+            )  # fmt: skip
+            if count:
+                numbers = numbers[:count]
+                beyond = world.cast(points[:count], directions[:count], self._settings.max_range_m)
+                mirrored.ranges[numbers] = hits.ranges[numbers] + beyond.ranges
+                mirrored.indices[numbers] = beyond.indices
+                mirrored.cosines[numbers] = beyond.cosines
+        return mirrored
 
     def _check_covered(self, first_slot: int, count: int, trajectory: BodyTrajectory) -> None:
         if first_slot < 0 or count < 1:

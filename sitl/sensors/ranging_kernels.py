@@ -1,4 +1,4 @@
-"""What the Mid-360 reports of what its beams hit: noise, misses, mixed points, tags, blanking.
+"""Where the Mid-360's beams go, and the chances and deviations of their measurements.
 
 Every random number is a hash of (seed, slot, purpose), so a slot's noise depends neither on how the
 slots are divided into calls nor on the world around it.
@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from companion.compiled import compiled, inlined
-from companion.messages import ByteArray, FloatArray
+from companion.messages import FloatArray
 from sitl.sensors.scan_kernels import FIRING_PERIOD_NS, LINES
 
 # Order of the numbers in the parameter array; see `Mid360Settings.packed`.
@@ -23,26 +23,32 @@ EDGE_GAP_M = 6
 SPURIOUS_PROBABILITY = 7
 TAG_SCALE = 8
 BLANKING = 9
-N_PARAMETERS = 10
+RETRO_HALF_RANGE_M = 10
+RETRO_CUTOFF_RAD = 11
+HALO_PROBABILITY = 12
+HALO_SHARE = 13
+GHOST_PROBABILITY = 14
+N_PARAMETERS = 15
 
 # Purposes of random numbers; a pair of normal deviates takes two.
 _FOOTPRINT_RADIUS = 0
 _FOOTPRINT_ANGLE = 1
-_POINTING = 2
-_RANGING = 4
-_DETECTION = 6
-_EDGE_SHARE = 7
-_TAG = 8
-_NEAR = 9
-_SPURIOUS = 10
-_SPURIOUS_RANGE = 11
+POINTING = 2
+RANGING = 4
+DETECTION = 6
+EDGE_SHARE = 7
+TAG = 8
+NEAR = 9
+SPURIOUS = 10
+SPURIOUS_RANGE = 11
+_HALO = 12
+GHOST = 13
+MIRROR = 14
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _MULTIPLIER_1 = np.uint64(0xBF58476D1CE4E5B9)
 _MULTIPLIER_2 = np.uint64(0x94D049BB133111EB)
 _PURPOSES = np.uint64(16)
-
-_SPURIOUS_REACH_M = 10.0
 
 
 @inlined
@@ -66,6 +72,12 @@ def normals_of(seed: int, slot: int, purpose: int) -> tuple[float, float]:
     radius = math.sqrt(-2.0 * math.log(uniform_of(seed, slot, purpose)))
     angle = 2.0 * math.pi * uniform_of(seed, slot, purpose + 1)
     return radius * math.cos(angle), radius * math.sin(angle)
+
+
+@inlined
+def in_halo(seed: int, slot: int, probability: float) -> bool:
+    """Return whether a slot's second sample lies in the faint light around its beam."""
+    return probability > 0.0 and uniform_of(seed, slot, _HALO) < probability
 
 
 @inlined
@@ -138,13 +150,15 @@ def clutter_tag(u: float, scale: float) -> int:
 
 
 @compiled(
-    "void(int64, int64, float64, int64[::1], float64[:, ::1], float64[:, ::1], float64[:, ::1], "
-    "float64[:, ::1], float64[:, ::1], float64[:, ::1])"
+    "void(int64, int64, float64, float64, float64, int64[::1], float64[:, ::1], float64[:, ::1], "
+    "float64[:, ::1], float64[:, ::1], float64[:, ::1], float64[:, ::1])"
 )
 def place_beams(
     seed: int,
     first_slot: int,
     footprint_rad: float,
+    halo_rad: float,
+    halo_probability: float,
     times_ns: np.ndarray[tuple[int], np.dtype[np.int64]],
     p_world: FloatArray,
     q_world_lidar: FloatArray,
@@ -159,13 +173,15 @@ def place_beams(
         seed: of the footprint's second sample.
         first_slot: index of the first slot.
         footprint_rad: half width of a beam.
+        halo_rad: half width of the faint light around it.
+        halo_probability: chance that the second sample of a beam lies in that faint light.
         times_ns: (k,) increasing times that cover all firings.
         p_world: (k, 3) positions of the sensor.
         q_world_lidar: (k, 4) its attitudes.
         directions_lidar: (n, 3) unit directions in the lidar frame.
         origins: (n, 3) out.
         directions: (n, 3) out, axis of each beam.
-        rims: (n, 3) out, a random direction within the beam.
+        rims: (n, 3) out, a random direction within the beam or around it.
     """
     k = 0
     last_firing = -1
@@ -199,9 +215,10 @@ def place_beams(
             R[2, 0], R[2, 1] = s * (qx * qz - qw * qy), s * (qy * qz + qw * qx)
             R[2, 2] = 1.0 - s * (qx * qx + qy * qy)
         lx, ly, lz = directions_lidar[i, 0], directions_lidar[i, 1], directions_lidar[i, 2]
-        radius = footprint_rad * math.sqrt(uniform_of(seed, slot, _FOOTPRINT_RADIUS))
+        radius = math.sqrt(uniform_of(seed, slot, _FOOTPRINT_RADIUS))
+        radius *= halo_rad if in_halo(seed, slot, halo_probability) else footprint_rad
         angle = 2.0 * math.pi * uniform_of(seed, slot, _FOOTPRINT_ANGLE)
-        tx, ty, tz = _turned(lx, ly, lz, radius * math.cos(angle), radius * math.sin(angle))
+        tx, ty, tz = turned(lx, ly, lz, radius * math.cos(angle), radius * math.sin(angle))
         for j in range(3):
             directions[i, j] = R[j, 0] * lx + R[j, 1] * ly + R[j, 2] * lz
             rims[i, j] = R[j, 0] * tx + R[j, 1] * ty + R[j, 2] * tz
@@ -209,7 +226,7 @@ def place_beams(
 
 
 @inlined
-def _turned(x: float, y: float, z: float, left: float, up: float) -> tuple[float, float, float]:
+def turned(x: float, y: float, z: float, left: float, up: float) -> tuple[float, float, float]:
     """Return a unit direction turned by small angles to the left and up."""
     flat = max(math.sqrt(x * x + y * y), 1e-9)
     tx = x - left * y / flat - up * z * x / flat
@@ -217,123 +234,3 @@ def _turned(x: float, y: float, z: float, left: float, up: float) -> tuple[float
     tz = z + up * flat
     scale = 1.0 / math.sqrt(tx * tx + ty * ty + tz * tz)
     return tx * scale, ty * scale, tz * scale
-
-
-@compiled(
-    "void(int64, int64, float64[::1], float64[:, ::1], float64[::1], int32[::1], float64[::1], "
-    "float64[::1], int32[::1], float64[::1], float64[::1], uint8[::1], uint8[::1], float64[:, ::1], "
-    "uint8[::1], uint8[::1], int32[::1])"
-)
-def form_returns(
-    seed: int,
-    first_slot: int,
-    parameters: FloatArray,
-    directions_lidar: FloatArray,
-    ranges: FloatArray,
-    indices: np.ndarray[tuple[int], np.dtype[np.int32]],
-    cosines: FloatArray,
-    rim_ranges: FloatArray,
-    rim_indices: np.ndarray[tuple[int], np.dtype[np.int32]],
-    rim_cosines: FloatArray,
-    reflectivities: FloatArray,
-    retro_reflective: ByteArray,
-    blanked: ByteArray,
-    points_lidar: FloatArray,
-    reflectivity: ByteArray,
-    tags: ByteArray,
-    sources: np.ndarray[tuple[int], np.dtype[np.int32]],
-) -> None:
-    """Turn hits into reported slots.
-
-    Args:
-        seed: of all noise.
-        first_slot: index of the first slot.
-        parameters: (N_PARAMETERS,) of the model.
-        directions_lidar: (n, 3) nominal directions.
-        ranges: (n,) of the beams' axes, infinity without a hit.
-        indices: (n,) primitives they hit.
-        cosines: (n,) cosines of incidence.
-        rim_ranges: (n,) of the second sample of each beam.
-        rim_indices: (n,) primitives it hit.
-        rim_cosines: (n,) cosines of incidence there.
-        reflectivities: (m,) of the primitives.
-        retro_reflective: (m,) 1 for retro-reflectors.
-        blanked: (4,) in and out, lines whose next firing is lost.
-        points_lidar: (n, 3) out, zero without a return.
-        reflectivity: (n,) out.
-        tags: (n,) out.
-        sources: (n,) out, primitive that each return came from, -1 without one.
-    """
-    for i in range(ranges.shape[0]):
-        slot = first_slot + i
-        line = slot % LINES
-        points_lidar[i, 0], points_lidar[i, 1], points_lidar[i, 2] = 0.0, 0.0, 0.0
-        reflectivity[i], tags[i], sources[i] = 0, 0, -1
-        if blanked[line]:
-            blanked[line] = 0
-            continue
-        distance, hit, cosine = ranges[i], indices[i], cosines[i]
-        share, tag = 1.0, 0
-        if indices[i] != rim_indices[i]:
-            # The beam straddles an edge: part of its light goes to the other surface, or to none.
-            u = uniform_of(seed, slot, _EDGE_SHARE)
-            gap = abs(rim_ranges[i] - ranges[i])
-            if gap < parameters[PULSE_LENGTH_M] and gap > parameters[EDGE_GAP_M]:
-                distance = (1.0 - u) * ranges[i] + u * rim_ranges[i]
-                tag = 2 if u > 0.25 and u < 0.75 else 1
-            elif hit < 0:
-                distance, hit, cosine = rim_ranges[i], rim_indices[i], rim_cosines[i]
-                share = 0.5 * u
-            elif rim_indices[i] < 0:
-                share = 1.0 - 0.5 * u
-            elif gap > parameters[EDGE_GAP_M] and u > 0.5:
-                distance, hit, cosine = rim_ranges[i], rim_indices[i], rim_cosines[i]
-        detected = hit >= 0
-        if detected:
-            effective = reflectivities[hit] * cosine * share
-            p = incidence_probability(cosine)
-            if not retro_reflective[hit]:
-                p *= distance_probability(
-                    distance, effective, parameters[RANGE_AT_TENTH_M], parameters[RANGE_EXPONENT]
-                )
-            detected = uniform_of(seed, slot, _DETECTION) < p
-            if parameters[BLANKING] > 0.0 and distance < 0.9 and detected:
-                blanked[line] = uniform_of(seed, slot, _NEAR) < blanking_probability(distance)
-            detected = detected and distance >= parameters[MIN_RANGE_M]
-        spurious = uniform_of(seed, slot, _SPURIOUS) < parameters[SPURIOUS_PROBABILITY]
-        if spurious:
-            reach = min(distance, _SPURIOUS_REACH_M)
-            low = parameters[MIN_RANGE_M]
-            distance = low + max(reach - low, 0.0) * uniform_of(seed, slot, _SPURIOUS_RANGE)
-        elif not detected:
-            continue
-        left, up = normals_of(seed, slot, _POINTING)
-        pointing = parameters[ANGLE_NOISE_RAD]
-        tx, ty, tz = _turned(
-            directions_lidar[i, 0],
-            directions_lidar[i, 1],
-            directions_lidar[i, 2],
-            pointing * left,
-            pointing * up,
-        )
-        along, shade = normals_of(seed, slot, _RANGING)
-        if spurious:
-            tags[i], reflectivity[i] = 32, int(min(abs(3.0 * shade) + 1.0, 20.0))
-        else:
-            sources[i] = hit
-            distance += parameters[RANGE_NOISE_SCALE] * range_sigma(distance, cosine) * along
-            distance = max(distance, parameters[MIN_RANGE_M])
-            if tag == 0:
-                tag = clutter_tag(uniform_of(seed, slot, _TAG), parameters[TAG_SCALE])
-            tags[i] = tag
-            if retro_reflective[hit]:
-                value = 151.0 + 104.0 * reflectivities[hit] + 5.0 * shade
-                reflectivity[i] = int(min(max(value, 151.0), 255.0))
-            else:
-                value = 150.0 * effective + 3.0 * shade + 0.5
-                reflectivity[i] = int(min(max(value, 0.0), 150.0))
-        points_lidar[i, 0], points_lidar[i, 1], points_lidar[i, 2] = (
-            distance * tx,
-            distance * ty,
-            distance * tz,
-        )
