@@ -191,10 +191,15 @@ def replay(
         bool, typer.Option("--odometry-only", help="Leave out decisions; as fast as the machine can.")
     ] = False,
     profile: Annotated[
-        Path | None, typer.Option(metavar="PROFILE", help="Instead of the recorded configuration.")
+        Path | None,
+        typer.Option("--profile", metavar="PROFILE", help="Instead of the recorded configuration."),
     ] = None,
-    tum: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the path, a pose per scan.")] = None,
-    out: Annotated[Path | None, typer.Option(metavar="LOG", help="Write a log of the replay.")] = None,
+    tum: Annotated[
+        Path | None, typer.Option("--tum", metavar="FILE", help="Write the path, a pose per scan.")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="LOG", help="Write a log of the replay.")
+    ] = None,
     json_output: AsJson = False,
 ) -> None:
     """Run recorded packets through the code that flies and compare what comes out.
@@ -238,7 +243,7 @@ def _show_replay(fraction: float | None, seconds: float, factor: float) -> None:
 @app.command(epilog="Example: companion trajectory flight.mcap --tum flight.tum --source truth")
 def trajectory(
     log: Annotated[Path, typer.Argument(metavar="LOG", help="Flight log (.mcap).")],
-    tum: Annotated[Path, typer.Option(metavar="FILE", help="File to write.")],
+    tum: Annotated[Path, typer.Option("--tum", metavar="FILE", help="File to write.")],
     source: Annotated[
         Literal["odometry", "truth"], typer.Option(help="Whose path; only simulated flights hold the truth.")
     ] = "odometry",

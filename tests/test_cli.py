@@ -21,7 +21,18 @@ from companion.messages import FlightState
 from companion.preflight.check import Check
 from tests.profiles import GOOD, WRONG
 
-COMMANDS = ("fly", "check", "report", "recover", "schema", "engage", "status", "warmup")
+COMMANDS = (
+    "fly",
+    "check",
+    "report",
+    "recover",
+    "replay",
+    "trajectory",
+    "schema",
+    "engage",
+    "status",
+    "warmup",
+)
 ONE_LINE = re.compile(r"[^:\n]+:\d+:\d+: [^\n]+\n")
 
 Output = pytest.CaptureFixture[str]

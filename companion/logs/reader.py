@@ -1,7 +1,7 @@
 """Reads a recorded flight, finished or not, one message at a time."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from companion.logs import metadata as flight_metadata
@@ -16,7 +16,7 @@ from companion.logs.container_reader import (
 from companion.logs.log_queue import LogEntry
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True, eq=False)
 class EncodedEntry:
     """One message as it stands in the log.
 
@@ -29,14 +29,17 @@ class EncodedEntry:
     t_ns: int
     sequence: int
     data: bytes
+    _decoded: object = field(default=None, init=False, repr=False)
 
     def message(self) -> object:
-        """Return the message.
+        """Return the message; it is decoded once.
 
         Raises:
             ValueError: if the bytes are not what the channel promises.
         """
-        return codec_of(self.channel).decode(self.data)
+        if self._decoded is None:
+            self._decoded = codec_of(self.channel).decode(self.data)
+        return self._decoded
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,11 +1,15 @@
 """Real sockets, real time, the companion as its own process: killed, stopped, and taken over in flight."""
 
 import asyncio
+import json
 import os
 import signal
+import subprocess
+import sys
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -56,12 +60,23 @@ async def advance_for(flight: WireFlight, seconds: float) -> int:
     return flight.vehicle.mavlink.counters.setpoints - before
 
 
+def replayed(log: Path) -> dict[str, Any]:
+    """Replay a flight's log in a process like the one that flew; return what it says."""
+    command = [sys.executable, "-m", "companion", "replay", str(log), "--json"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
+    answer: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
+    assert done.returncode == 0, answer
+    return answer
+
+
 @pytest.fixture(autouse=True)
 def kernels() -> None:
     load_kernels()
 
 
-def test_a_whole_flight_over_real_sockets_reaches_its_goal(tmp_path: Path) -> None:
+def test_a_whole_flight_over_real_sockets_reaches_its_goal_and_is_replayed_to_the_byte(
+    tmp_path: Path,
+) -> None:
     path = write_scenario(tmp_path)
     log = tmp_path / "flight.mcap"
     outcome = evaluate(fly_wire(set_stage(load_scenario(path), tmp_path, None), log), log)
@@ -69,6 +84,13 @@ def test_a_whole_flight_over_real_sockets_reaches_its_goal(tmp_path: Path) -> No
     assert outcome.livox.packets > 10_000
     assert outcome.odometry.ape_rmse_m is not None
     assert outcome.odometry.ape_rmse_m < 0.1
+    again = replayed(log)
+    assert again["equal"] is True, again["channels"]
+    assert (again["complete"], again["missing"]) == (True, {})
+    counts = {channel["topic"]: channel["equal"] for channel in again["channels"]}
+    assert counts["/scan"] > 100
+    assert counts["/setpoint"] > 100
+    assert counts["/mavlink/tx"] > 500
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
@@ -89,6 +111,11 @@ def test_a_dead_or_stopped_companion_ends_the_stream_and_px4_lands(
             finally:
                 if number is signal.SIGSTOP:
                     os.kill(pid, signal.SIGCONT)
+            if number is signal.SIGKILL:
+                log = flight.companion.log()
+                assert log is not None
+                again = replayed(log)
+                assert (again["complete"], again["equal"]) == (False, True), again["channels"]
 
     asyncio.run(fly())
 
