@@ -50,6 +50,12 @@ class InertialHistory:
         """Time of the newest sample."""
         return int(self._t_ns[self._end - 1])
 
+    @property
+    def samples(self) -> tuple[NDArray[np.int64], FloatArray, NDArray[np.bool_]]:
+        """Times (n,), gyro and specific force (n, 6) and suspicion (n,) of all samples, as views."""
+        kept = slice(self._begin, self._end)
+        return self._t_ns[kept], self._inertial[kept], self._suspect[kept]
+
     def clear(self) -> None:
         """Forget all samples."""
         self._begin = self._end = 0

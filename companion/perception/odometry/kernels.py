@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from companion.compiled import compiled, inlined
 from companion.messages import FloatArray, PointArray
 
+VIBRATION_SAMPLES = 12  # fewer do not tell vibration from motion
 SEGMENT_WIDTH = 22  # time, p, R by rows, v, a_map, omega_imu
 
 
@@ -57,11 +58,11 @@ def propagate(
         segments: (>= n, 22) receives time, p, R, v at each limit and the acceleration and rate of the
             interval that begins there; the last row repeats those of the last interval.
     """
-    F = np.zeros((18, 18))
-    FP = np.zeros((18, 18))
+    A = np.zeros((9, 6))  # derivatives of p, theta, v by theta and accelerometer bias
     R_middle = np.zeros(9)
     step = np.zeros(9)
     a = np.zeros(3)
+    rows = np.zeros((9, 18))
     for k in range(t_s.shape[0]):
         segment = segments[k]
         segment[0] = t_s[k]
@@ -83,43 +84,65 @@ def propagate(
         step[0], step[4], step[8] = 1.0, 1.0, 1.0
         rotate_by(step, -wx * dt, -wy * dt, -wz * dt)
 
-        F[:, :] = 0.0
-        for i in range(18):
-            F[i, i] = 1.0
+        half = 0.5 * dt * dt
         for i in range(3):
             r0, r1, r2 = R_middle[3 * i], R_middle[3 * i + 1], R_middle[3 * i + 2]
             # dv/dtheta = -R [a]x dt
             t0, t1, t2 = -(r1 * a[2] - r2 * a[1]), -(r2 * a[0] - r0 * a[2]), -(r0 * a[1] - r1 * a[0])
-            F[i, 3], F[i, 4], F[i, 5] = 0.5 * dt * dt * t0, 0.5 * dt * dt * t1, 0.5 * dt * dt * t2
-            F[6 + i, 3], F[6 + i, 4], F[6 + i, 5] = dt * t0, dt * t1, dt * t2
+            A[i, 0], A[i, 1], A[i, 2] = half * t0, half * t1, half * t2
+            A[6 + i, 0], A[6 + i, 1], A[6 + i, 2] = dt * t0, dt * t1, dt * t2
             for j in range(3):
-                F[3 + i, 3 + j] = step[3 * i + j]
-                F[i, 12 + j] = -0.5 * dt * dt * R_middle[3 * i + j]
-                F[6 + i, 12 + j] = -dt * R_middle[3 * i + j]
-            F[i, 6 + i] = dt
-            F[i, 15 + i] = 0.5 * dt * dt
-            F[6 + i, 15 + i] = dt
-            F[3 + i, 9 + i] = -dt
+                A[3 + i, j] = step[3 * i + j]
+                A[i, 3 + j] = -half * R_middle[3 * i + j]
+                A[6 + i, 3 + j] = -dt * R_middle[3 * i + j]
 
-        for i in range(18):
-            for j in range(18):
-                total = 0.0
-                for m in range(18):
-                    if F[i, m] != 0.0:
-                        total += F[i, m] * covariance[m, j]
-                FP[i, j] = total
-        for i in range(18):
+        # Rows of F P: biases and gravity stay as they are.
+        for j in range(18):
+            t0, t1, t2 = covariance[3, j], covariance[4, j], covariance[5, j]
+            b0, b1, b2 = covariance[12, j], covariance[13, j], covariance[14, j]
+            for i in range(3):
+                rows[i, j] = (
+                    covariance[i, j]
+                    + dt * covariance[6 + i, j]
+                    + half * covariance[15 + i, j]
+                    + (A[i, 0] * t0 + A[i, 1] * t1 + A[i, 2] * t2)
+                    + (A[i, 3] * b0 + A[i, 4] * b1 + A[i, 5] * b2)
+                )
+                rows[3 + i, j] = (
+                    A[3 + i, 0] * t0 + A[3 + i, 1] * t1 + A[3 + i, 2] * t2 - dt * covariance[9 + i, j]
+                )
+                rows[6 + i, j] = (
+                    covariance[6 + i, j]
+                    + dt * covariance[15 + i, j]
+                    + (A[6 + i, 0] * t0 + A[6 + i, 1] * t1 + A[6 + i, 2] * t2)
+                    + (A[6 + i, 3] * b0 + A[6 + i, 4] * b1 + A[6 + i, 5] * b2)
+                )
+        for i in range(9):
+            for j in range(9, 18):
+                covariance[i, j] = rows[i, j]
+                covariance[j, i] = rows[i, j]
+        # Their columns times F', of which one half is enough.
+        for i in range(9):
+            row = rows[i]
+            t0, t1, t2 = row[3], row[4], row[5]
+            b0, b1, b2 = row[12], row[13], row[14]
             for j in range(i + 1):
-                total = 0.0
-                for m in range(18):
-                    if F[j, m] != 0.0:
-                        total += FP[i, m] * F[j, m]
+                m = j % 3
+                total = A[j, 0] * t0 + A[j, 1] * t1 + A[j, 2] * t2
+                if j < 3:
+                    total += row[m] + dt * row[6 + m] + half * row[15 + m]
+                    total += A[j, 3] * b0 + A[j, 4] * b1 + A[j, 5] * b2
+                elif j < 6:
+                    total -= dt * row[9 + m]
+                else:
+                    total += row[6 + m] + dt * row[15 + m]
+                    total += A[j, 3] * b0 + A[j, 4] * b1 + A[j, 5] * b2
                 covariance[i, j] = total
                 covariance[j, i] = total
         for i in range(3):
             covariance[i, i] += noise[k, 1] * dt * dt * dt / 3.0
-            covariance[i, 6 + i] += noise[k, 1] * dt * dt / 2.0
-            covariance[6 + i, i] += noise[k, 1] * dt * dt / 2.0
+            covariance[i, 6 + i] += noise[k, 1] * half
+            covariance[6 + i, i] += noise[k, 1] * half
             covariance[3 + i, 3 + i] += noise[k, 0] * dt
             covariance[6 + i, 6 + i] += noise[k, 1] * dt
             covariance[9 + i, 9 + i] += noise[k, 2] * dt
@@ -134,6 +157,101 @@ def propagate(
             state[12 + i] += acceleration * dt
         segment[19], segment[20], segment[21] = wx, wy, wz
         rotate_by(state[3:12], wx * dt, wy * dt, wz * dt)
+
+
+@inlined
+def vibration(inertial: FloatArray, first: int, last: int, dt: float, shaking: FloatArray) -> None:
+    """Estimate the white noise that samples show, as squared densities (2,) of rate and specific force.
+
+    Means of two samples, of which the middle one of three counts double and negative, cancel steady
+    motion and its steady change; tones near half the sampling rate, which integration averages out,
+    cancel in the means. White noise of variance s^2 leaves 3 s^2. Source: the Hadamard variance, W. Riley,
+    "Handbook of Frequency Stability Analysis", NIST SP 1065, 2008, section 5.8, for means of two.
+
+    Args:
+        inertial: (n, 6) samples.
+        first: index of the first.
+        last: index after the last.
+        dt: mean interval, seconds.
+        shaking: (2,) receives the densities.
+    """
+    for half in range(2):
+        total = 0.0
+        for i in range(first, last - 5):
+            for axis in range(3 * half, 3 * half + 3):
+                third = 0.5 * (inertial[i, axis] + inertial[i + 1, axis] + inertial[i + 4, axis])
+                third += 0.5 * inertial[i + 5, axis] - inertial[i + 2, axis] - inertial[i + 3, axis]
+                total += third * third
+        shaking[half] = total * dt / (9.0 * (last - 5 - first))
+
+
+@compiled(
+    "int64(float64[::1], float64[:,::1], int64[::1], float64[:,::1], boolean[::1], int64, int64, int64,"
+    " float64[::1], float64[::1], float64[:,::1])"
+)
+def integrate(
+    state: FloatArray,
+    covariance: FloatArray,
+    t_ns: NDArray[np.int64],
+    inertial: FloatArray,
+    suspect: NDArray[np.bool_],
+    start_ns: int,
+    end_ns: int,
+    origin_ns: int,
+    noise: FloatArray,
+    shaking: FloatArray,
+    segments: FloatArray,
+) -> int:
+    """Propagate a state in place from one instant to another through a history of samples.
+
+    A sample is the mean over the interval that ends with it; before the oldest and after the newest, the
+    nearest one holds. White noise is what `noise` says or what vibration shows, whichever is more. Where
+    samples are missing or suspect, motion may have gone unseen.
+
+    Args:
+        state: (24,).
+        covariance: (18, 18).
+        t_ns: (n,) times of the samples, ascending, n > 0.
+        inertial: (n, 6) gyro rad/s and specific force m/s^2.
+        suspect: (n,) whether a sample is saturated or follows a break.
+        start_ns: time of the state.
+        end_ns: time to reach, later.
+        origin_ns: zero of the times in `segments`.
+        noise: (9,) squared densities of rate, force and their biases' walks; squared rate and force that
+            may go unseen in a gap; the same for suspect samples; the shortest gap in seconds.
+        shaking: (2,) squared densities that vibration showed last, kept up to date.
+        segments: (>= n + 2, 22) as of `propagate`.
+
+    Returns:
+        The number of limits in `segments`.
+    """
+    n = t_ns.shape[0]
+    low = int(np.searchsorted(t_ns, start_ns, side="right"))
+    high = int(np.searchsorted(t_ns, end_ns, side="left"))
+    count = high - low + 2
+    t_s = np.empty(count)
+    between = np.empty((count - 1, 6))
+    variances = np.empty((count - 1, 4))
+    t_s[0] = (start_ns - origin_ns) * 1e-9
+    for k in range(count - 1):
+        i = min(low + k, n - 1)
+        t_s[k + 1] = ((t_ns[low + k] if k + 2 < count else end_ns) - origin_ns) * 1e-9
+        between[k] = inertial[i]
+    if count > VIBRATION_SAMPLES:
+        vibration(between, 0, count - 1, (t_s[count - 1] - t_s[0]) / (count - 1), shaking)
+    for k in range(count - 1):
+        dt = t_s[k + 1] - t_s[k]
+        variances[k, 0] = max(noise[0], shaking[0])
+        variances[k, 1] = max(noise[1], shaking[1])
+        variances[k, 2], variances[k, 3] = noise[2], noise[3]
+        if dt > noise[8]:
+            variances[k, 0] += noise[4] * dt
+            variances[k, 1] += noise[5] * dt
+        if suspect[min(low + k, n - 1)]:
+            variances[k, 0] += noise[6] * dt
+            variances[k, 1] += noise[7] * dt
+    propagate(state, covariance, t_s, between, variances, segments)
+    return count
 
 
 @compiled("void(float32[:,::1], int32[::1], float64[:,::1], int64, float64[::1], float64[:,::1])")

@@ -10,10 +10,10 @@ from tests.perception.odometry.conftest import SMALL, Outcome, errors, run
 from tests.perception.odometry.simulated_flight import (
     CLOCK_OFFSET_NS,
     SCAN_NS,
-    SensorErrors,
-    SimulatedFlight,
     T_BODY_LIDAR,
     T_LIDAR_IMU,
+    SensorErrors,
+    SimulatedFlight,
     Trajectory,
     hover_trajectory,
     loop_trajectory,

@@ -3,7 +3,6 @@ import pytest
 
 from companion.messages import ImuSample, LidarScan
 from companion.perception.odometry.inertial_history import CAPACITY, InertialHistory
-from companion.perception.odometry.propagation import process_noise, vibration_densities
 from companion.perception.odometry.sequencer import MOST_WAITING_SCANS, Arrival, Sequencer
 from companion.perception.odometry.settings import OdometrySettings
 
@@ -127,21 +126,3 @@ def test_the_history_is_bounded_and_keeps_the_newest() -> None:
     assert history.last_ns == 5 * last * MS
     stretch = history.between(5 * (last - 10) * MS, 5 * last * MS, 0)
     np.testing.assert_allclose(stretch.inertial[:, 0], np.arange(last - 9, last + 1))
-
-
-def test_missing_and_saturated_samples_and_vibration_raise_the_noise() -> None:
-    history = InertialHistory()
-    rng = np.random.default_rng(0)
-    times = [5 * k for k in range(40) if not 10 <= k < 25]
-    for t in times:
-        history.append(t * MS, rng.normal(0.0, 0.01, 3), rng.normal(0.0, 0.5, 3), suspect=t == 150)
-    stretch = history.between(0, 195 * MS, 0)
-    densities = vibration_densities(history.between(0, 45 * MS, 0))
-    assert densities[1] == pytest.approx(0.25 * 0.005, rel=0.5)
-    noise = process_noise(stretch, np.zeros(2), SETTINGS)
-    gap = int(np.argmax(np.diff(stretch.t_s)))
-    assert noise[gap, 1] > 100.0 * noise[0, 1]
-    assert noise[int(np.flatnonzero(stretch.suspect)[0]), 1] > 1000.0 * noise[0, 1]
-    assert noise[0, 1] == pytest.approx(SETTINGS.accel_noise**2)
-    shaken = process_noise(stretch, densities, SETTINGS)
-    assert shaken[0, 1] == pytest.approx(densities[1])
