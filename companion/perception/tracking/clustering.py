@@ -47,8 +47,8 @@ class Cluster:
         bright: number of bright ones in the stack.
         centre_map: (3,) mean of the whole stack, moved to now.
         size_m: (3,) extent along the map's axes, moved to now.
-        measured_map: (3,) mean of the newest scan's points where they were measured; without any, the
-            same as `centre_map`.
+        measured_map: (3,) mean of the newest scan's points where they were measured; without
+            any, the same as `centre_map`.
         age_s: how long ago that was, on average.
         range_m: from the sensor to `centre_map`.
     """

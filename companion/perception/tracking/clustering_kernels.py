@@ -176,7 +176,7 @@ def summarise(
     """
     for k in range(summary.shape[0]):
         for c in range(SUMMARY_WIDTH):
-            summary[k, c] = np.inf if 11 <= c < 14 else -np.inf if c >= 14 else 0.0
+            summary[k, c] = np.inf if 11 <= c < 14 else -np.inf if 14 <= c < 17 else 0.0
     for i in range(labels.shape[0]):
         k = labels[i]
         if k < 0:

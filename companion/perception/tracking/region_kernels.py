@@ -56,7 +56,7 @@ def _marked(grid: NDArray[np.uint8], origin: FloatArray, x: float, y: float, z: 
     iy = math.floor((y - origin[1]) / CELL_M + 0.5 * GRID)
     iz = math.floor((z - origin[2]) / CELL_M + 0.5 * GRID)
     inside = 0 <= ix < GRID and 0 <= iy < GRID and 0 <= iz < GRID
-    return inside and grid[ix, iy, iz] != 0
+    return bool(inside and grid[ix, iy, iz] != 0)
 
 
 @compiled(
@@ -108,7 +108,7 @@ def claim(
 
 @compiled(
     "void(float32[:, ::1], float64[::1], int32[::1], float64[::1], float64[:, ::1], float64[:, ::1],"
-    " float64, float64, float64, uint8[::1], uint8[:, :, ::1], float64[:, ::1])"
+    " int32[::1], float64, float64, float64, uint8[::1], uint8[:, :, ::1], float64[:, ::1])"
 )
 def survey(
     points: PointArray,
@@ -117,6 +117,7 @@ def survey(
     origin: FloatArray,
     centres: FloatArray,
     velocities: FloatArray,
+    names: NDArray[np.int32],
     half_width_m: float,
     half_height_m: float,
     reach_m: float,
@@ -132,14 +133,15 @@ def survey(
     Args:
         points: (n, 3) metres.
         ages_s: (n,) how long ago they were measured.
-        owners: (n,) see `claim`.
+        owners: (n,) track each one lies at, or -1.
         origin: (3,) centre of the grid: the sensor.
         centres: (k, 3) of the bodies now.
         velocities: (k, 3) m/s.
+        names: (k,) track that each body belongs to, or -1.
         half_width_m: radius of the cylinder, with some margin.
         half_height_m: half its height, with some margin.
         reach_m: see above.
-        proven: (k,) 1 for bodies known to be UAVs.
+        proven: (t,) 1 for tracks known to be UAVs.
         grid: (GRID, GRID, GRID) zeros, left as zeros.
         counts: (k, SURROUNDINGS_WIDTH) out.
     """
@@ -156,7 +158,7 @@ def survey(
             continue
         owner = owners[i]
         for k in range(centres.shape[0]):
-            if owner >= 0 and owner != k and proven[owner]:
+            if owner >= 0 and owner != names[k] and proven[owner]:
                 continue
             x = px - centres[k, 0] + velocities[k, 0] * ages_s[i]
             y = py - centres[k, 1] + velocities[k, 1] * ages_s[i]
@@ -169,3 +171,41 @@ def survey(
             elif abs(z) <= half_height_m:
                 counts[k, 3] += 1.0
     _mark(grid, origin, centres, velocities, radii, oldest, 0)
+
+
+@compiled("void(float32[:, ::1], float64[::1], float64[:, ::1], float64, float64, float64[::1])")
+def shade(
+    points: PointArray,
+    origin: FloatArray,
+    centres: FloatArray,
+    half_width_m: float,
+    gap_m: float,
+    counts: FloatArray,
+) -> None:
+    """Count the points that stand before each body, or beside its outline, nearer to the sensor.
+
+    Args:
+        points: (n, 3) metres.
+        origin: (3,) the sensor.
+        centres: (k, 3) of the bodies.
+        half_width_m: radius of the cone around a body, at its distance.
+        gap_m: how much nearer a point must be.
+        counts: (k,) out.
+    """
+    counts[:] = 0.0
+    k_max = centres.shape[0]
+    ux, uy, uz, far = np.empty(k_max), np.empty(k_max), np.empty(k_max), np.empty(k_max)
+    for k in range(k_max):
+        x, y, z = centres[k, 0] - origin[0], centres[k, 1] - origin[1], centres[k, 2] - origin[2]
+        far[k] = max(math.sqrt(x * x + y * y + z * z), 1e-6)
+        ux[k], uy[k], uz[k] = x / far[k], y / far[k], z / far[k]
+    for i in range(points.shape[0]):
+        x, y, z = points[i, 0] - origin[0], points[i, 1] - origin[1], points[i, 2] - origin[2]
+        square = x * x + y * y + z * z
+        for k in range(k_max):
+            along = x * ux[k] + y * uy[k] + z * uz[k]
+            if along <= 0.0 or along >= far[k] - gap_m:
+                continue
+            reach = half_width_m * along / far[k]
+            if square - along * along < reach * reach:
+                counts[k] += 1.0

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from companion.messages import FloatArray, PointArray
 from companion.perception.tracking import clustering_kernels, region_kernels
+from companion.perception.tracking.body import outline_m
 from companion.perception.tracking.clustering import FilteredPoints, epsilons
 from companion.perception.tracking.filtering import StackedPoints, thinned
 from companion.perception.tracking.settings import Tape, TrackingSettings
@@ -14,6 +15,8 @@ from companion.perception.tracking.track import Track
 from companion.perception.tracking.untaped import compact_bodies
 
 _FASTEST = 20.0
+_EDGE_M = 0.15
+_GAP_M = 0.4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,27 +96,47 @@ class RegionSearch:
     def survey(
         self,
         stack: StackedPoints,
+        bodies: Regions,
+        names: list[int],
         tracks: list[Track],
         sensor_map: FloatArray,
-        half_width_m: float,
-        half_height_m: float,
     ) -> FloatArray:
-        """Return what the newest scan shows on and around each track; see `region_kernels.survey`."""
-        regions = Regions.around(tracks)
+        """Return what the newest scan shows on and around bodies; see `region_kernels.survey`.
+
+        Args:
+            stack: all near points.
+            bodies: where they are.
+            names: index of the track each one belongs to, or -1.
+            tracks: at whose points a body that is not theirs does not end.
+            sensor_map: (3,) m.
+        """
         points, ages = stack.points_map[: stack.fresh], stack.ages_s[: stack.fresh]
-        counts = np.zeros((len(tracks), region_kernels.SURROUNDINGS_WIDTH))
+        counts = np.zeros((len(bodies.radii_m), region_kernels.SURROUNDINGS_WIDTH))
         region_kernels.survey(
             points,
             ages,
-            self._owners(points, ages, sensor_map, regions),
+            self._owners(points, ages, sensor_map, Regions.around(tracks)),
             sensor_map,
-            regions.centres_map,
-            regions.velocities_map,
-            half_width_m,
-            half_height_m,
+            bodies.centres_map,
+            bodies.velocities_map,
+            np.array(names, np.int32),
+            *outline_m(self._settings),
             self._settings.surroundings_m,
             np.array([track.proof.validated for track in tracks], np.uint8),
             self._grid,
+            counts,
+        )
+        return counts
+
+    def shaded(self, stack: StackedPoints, centres_map: FloatArray, sensor_map: FloatArray) -> FloatArray:
+        """Return how many points of the newest scan (k,) stand before bodies or the edges of them."""
+        counts = np.zeros(len(centres_map))
+        region_kernels.shade(
+            stack.points_map[: stack.fresh],
+            sensor_map,
+            centres_map,
+            self._settings.body_radius_m + _EDGE_M,
+            _GAP_M,
             counts,
         )
         return counts

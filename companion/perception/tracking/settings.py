@@ -97,12 +97,11 @@ class TrackingSettings(Settings):
     most_tracks: int = Field(default=48, ge=1, le=200)
     """Most tracks at once, candidates included; the nearest clusters come first."""
 
-    range_sigma_m: float = Field(default=0.02, gt=0.0, le=0.5)
-    """Standard deviation of one point along and across its beam."""
-    shape_sigma_m: float = Field(default=0.015, ge=0.0, le=0.5)
-    """How far the body model's centre may be off whatever the number of points."""
-    shape_share: float = Field(default=1.0, gt=0.0, le=10.0)
-    """Multiplies the variance of where on the body a point lies; neighbouring points are not independent."""
+    point_sigma_m: float = Field(default=0.056, gt=0.0, le=1.0)
+    """How far points on a body scatter about where its model has their mean, on each axis."""
+    shape_sigma_m: float = Field(default=0.022, ge=0.0, le=0.5)
+    """How far that mean may be off, whatever the number of points, along the beam and upwards; half as
+    much across."""
     ego_position_sigma_m: float = Field(default=0.005, ge=0.0, le=0.5)
     """How much the own position jumps from scan to scan against the last ones; the error that all scans
     share cancels in relative positions and is not counted."""
@@ -110,10 +109,12 @@ class TrackingSettings(Settings):
     """The same for the own attitude."""
     degraded_factor: float = Field(default=4.0, ge=1.0, le=100.0)
     """Multiplies both while the odometry is degraded."""
-    acceleration_density: float = Field(default=0.1, gt=0.0, le=100.0)
-    """Density of the white acceleration of a neighbour in steady flight, m^2/s^3..."""
-    manoeuvre_density: float = Field(default=6.0, gt=0.0, le=1000.0)
-    """...and of one that turns or brakes hard, m^2/s^3; innovations tell how much lies between."""
+    acceleration_sigma: float = Field(default=1.5, ge=0.0, le=50.0)
+    """Standard deviation of each axis of a neighbour's acceleration, m/s^2..."""
+    acceleration_fading_s: float = Field(default=0.8, ge=0.0, le=20.0)
+    """...and for how long it lasts; 0 for plain constant velocity with white acceleration."""
+    acceleration_density: float = Field(default=0.02, gt=0.0, le=100.0)
+    """Density of its white acceleration (gusts), m^2/s^3."""
     initial_speed_sigma: float = Field(default=1.5, gt=0.0, le=20.0)
     """Standard deviation of a new neighbour's speed on each axis, m/s."""
 
@@ -150,4 +151,5 @@ class TrackingSettings(Settings):
             size_gate=False,
             body_centre=False, association=Association.GREEDY, last_seen_s=0.0, share_memory=0.0,
             min_on_updates=1, proof_of_flight=False,
+            acceleration_fading_s=0.0, acceleration_density=1.0,
         )  # fmt: skip

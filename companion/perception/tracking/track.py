@@ -6,33 +6,44 @@ import numpy as np
 
 from companion.clock import NANOSECONDS_PER_SECOND
 from companion.messages import FloatArray, NeighbourTrack
-from companion.perception.tracking.body import visible_surface
+from companion.perception.tracking.body import visible_surface, whole_body_points
 from companion.perception.tracking.clustering import Cluster
 from companion.perception.tracking.motion_filter import MotionFilter
 from companion.perception.tracking.settings import TrackingSettings
 from companion.perception.tracking.validation import Proof
 
-_SURPRISE_MEMORY = 0.6
-_CALM, _WILD = 1.3, 3.5  # mean normalised innovation squared per axis: even flight, hard manoeuvre
+_LEAST_HIDDEN = 0.3
 
 
 def measurement(
-    cluster: Cluster, sensor_map: FloatArray, jitter: tuple[float, float], settings: TrackingSettings
+    cluster: Cluster,
+    sensor_map: FloatArray,
+    shaded: float,
+    jitter: tuple[float, float],
+    settings: TrackingSettings,
 ) -> tuple[FloatArray, FloatArray]:
     """Return the body's centre (3,) as one scan shows it, and its covariance (3, 3).
 
     Args:
         cluster: with points of the newest scan.
         sensor_map: (3,) m.
+        shaded: number of points that stand before it or its edges.
         jitter: standard deviations of the own position, m, and attitude, rad, from scan to scan.
         settings: the body's model and the sensor's noise.
     """
     away = cluster.measured_map - sensor_map
     range_m = max(float(np.linalg.norm(away)), 1e-3)
-    offset, scatter = visible_surface(away, settings.body_radius_m, settings.body_height_m)
-    count = max(cluster.fresh, 1)
-    R = (settings.shape_share * scatter + settings.range_sigma_m**2 * np.eye(3)) / count
-    R += settings.shape_sigma_m**2 * np.eye(3)
+    offset = visible_surface(away, settings.body_radius_m, settings.body_height_m)
+    variance = settings.point_sigma_m**2 / max(cluster.fresh, 1) + settings.shape_sigma_m**2
+    if shaded > 0.0:
+        # Something hides a part of it, and the middle of the rest is not the body's.
+        hidden = max(_LEAST_HIDDEN, 1.0 - cluster.fresh / whole_body_points(range_m, settings))
+        variance += (hidden * settings.body_radius_m) ** 2
+    R = variance * np.eye(3)
+    across = np.array([-away[1], away[0], 0.0])
+    length = float(np.linalg.norm(across))
+    if length > 1e-6:
+        R -= 0.75 * settings.shape_sigma_m**2 * np.outer(across, across) / length**2
     along = away / range_m
     R += jitter[0] ** 2 * np.eye(3)
     R += (jitter[1] * range_m) ** 2 * (np.eye(3) - np.outer(along, along))
@@ -57,10 +68,15 @@ class Track:
         self.track_id = track_id
         self.t_born_ns = self.t_seen_ns = t_ns
         self.points = 0
-        self.motion = MotionFilter(z_map, R, settings.initial_speed_sigma)
+        self.motion = MotionFilter(
+            z_map,
+            R,
+            settings.initial_speed_sigma,
+            settings.acceleration_sigma,
+            settings.acceleration_fading_s,
+        )
         self.proof = Proof(settings, z_map)
         self._settings = settings
-        self._surprise = 1.0
 
     @property
     def roi_radius_m(self) -> float:
@@ -79,10 +95,8 @@ class Track:
         return (t_ns - self.t_seen_ns) / NANOSECONDS_PER_SECOND
 
     def predict(self, dt_s: float) -> None:
-        """Carry it on; the more its last measurements surprised, the more it may accelerate."""
-        low, high = self._settings.acceleration_density, self._settings.manoeuvre_density
-        wild = min(max((self._surprise - _CALM) / (_WILD - _CALM), 0.0), 1.0)
-        self.motion.predict(dt_s, low * (high / low) ** wild)
+        """Carry it on."""
+        self.motion.predict(dt_s, self._settings.acceleration_density)
 
     def observe(
         self, t_ns: int, cluster: Cluster, z_map: FloatArray, R: FloatArray, *, born: bool = False
@@ -97,9 +111,6 @@ class Track:
             born: it is the one that began the track.
         """
         if not born:
-            y, S = self.motion.innovation(z_map, R, cluster.age_s)
-            square = float(y @ np.linalg.solve(S, y)) / 3.0
-            self._surprise += (1.0 - _SURPRISE_MEMORY) * (min(square, 2.0 * _WILD) - self._surprise)
             self.motion.update(z_map, R, cluster.age_s)
         self.t_seen_ns = t_ns
         self.points = cluster.points

@@ -7,6 +7,7 @@ added by settings, and `TrackingSettings.literal` takes all of that back.
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from companion.clock import NANOSECONDS_PER_SECOND
@@ -22,8 +23,8 @@ from companion.perception.tracking.clustering import (
     least_points,
     trim,
 )
-from companion.perception.tracking.filtering import ScanStack
-from companion.perception.tracking.regions import RegionSearch
+from companion.perception.tracking.filtering import ScanStack, StackedPoints
+from companion.perception.tracking.regions import Regions, RegionSearch
 from companion.perception.tracking.settings import Association, Tape, TrackingSettings
 from companion.perception.tracking.track import Track, measurement
 from companion.perception.tracking.validation import Surroundings
@@ -93,26 +94,22 @@ class NeighbourTracker:
         current = [track for track in self._tracks if self._is_current(track)]
         lost = [track for track in self._tracks if not self._is_current(track)]
         points = self._search.filtered(stack, current, sensor)
-        half_width, half_height = self._surroundings.half_width_m, self._surroundings.half_height_m
-        around = self._search.survey(stack, current, sensor, half_width, half_height)
-
         labels = find_clusters(points, sensor, self._settings)
         trusted = np.array([track.proof.validated for track in current], np.bool_)
         trim(labels, points, trusted, self._settings)
         clusters = [cluster for cluster in describe(labels, points, sensor) if self._is_plausible(cluster)]
-        jitter = self._jitter(odometry)
-        measured = [measurement(cluster, sensor, jitter, self._settings) for cluster in clusters]
-
-        pairs = self._pairs(current, clusters, measured, around)
-        expected = self._surroundings.expected_foot(
-            np.array([track.motion.p_map for track in current]).reshape(-1, 3), sensor, odometry.q_map_body
+        measured = self._measured(clusters, stack, odometry, sensor)
+        pairs = self._pairs(
+            current, clusters, measured, self._solid(clusters, measured, stack, current, sensor)
         )
         for i, j in pairs:
-            current[i].proof.look_around(around[i], float(expected[i]))
             current[i].observe(t_ns, clusters[j], *measured[j])
+        self._look_around([current[i] for i, _ in pairs], current, stack, odometry, sensor)
         left = [j for j in range(len(clusters)) if j not in {j for _, j in pairs}]
         left = [j for j in left if self._may_begin(clusters[j], measured[j][0], current)]
-        found = self._pairs(lost, [clusters[j] for j in left], [measured[j] for j in left], None)
+        found = self._pairs(
+            lost, [clusters[j] for j in left], [measured[j] for j in left], np.zeros(len(left), np.bool_)
+        )
         for i, k in found:
             lost[i].observe(t_ns, clusters[left[k]], *measured[left[k]])
         for k, j in enumerate(left):
@@ -147,7 +144,7 @@ class NeighbourTracker:
         tracks: list[Track],
         clusters: list[Cluster],
         measured: list[tuple[FloatArray, FloatArray]],
-        around: FloatArray | None,
+        solid: NDArray[np.bool_],
     ) -> list[tuple[int, int]]:
         """Return which track (index) each cluster (index) continues."""
         if not tracks or not clusters:
@@ -160,18 +157,66 @@ class NeighbourTracker:
         covariances = np.array([track.motion.covariance for track in tracks])
         ages = np.array([cluster.age_s for cluster in clusters])
         costs = gated_costs(states, covariances, z, np.array([R for _, R in measured]), ages, self._gate)
-        if around is not None and self._settings.tape is Tape.REFLECTIVE:
-            # Without a bright point, and with solid things around, it is those things that are seen.
-            solid = around[:, region_kernels.BELOW :].sum(axis=1)
-            solid = solid > 1.0 + _SOLID_SHARE * around[:, region_kernels.BODY]
-            dim = np.array([cluster.bright == 0 for cluster in clusters])
-            costs[np.outer(solid, dim)] = np.inf
+        costs[:, solid] = np.inf
         return global_pairs(costs)
 
-    def _jitter(self, odometry: Odometry) -> tuple[float, float]:
+    def _measured(
+        self, clusters: list[Cluster], stack: StackedPoints, odometry: Odometry, sensor_map: FloatArray
+    ) -> list[tuple[FloatArray, FloatArray]]:
         settings = self._settings
         factor = settings.degraded_factor if odometry.status is OdometryStatus.DEGRADED else 1.0
-        return factor * settings.ego_position_sigma_m, factor * math.radians(settings.ego_rotation_sigma_deg)
+        jitter = (
+            factor * settings.ego_position_sigma_m,
+            factor * math.radians(settings.ego_rotation_sigma_deg),
+        )
+        centres = np.array([cluster.centre_map for cluster in clusters]).reshape(-1, 3)
+        shaded = self._search.shaded(stack, centres, sensor_map)
+        return [
+            measurement(cluster, sensor_map, float(count), jitter, settings)
+            for cluster, count in zip(clusters, shaded, strict=True)
+        ]
+
+    def _solid(
+        self,
+        clusters: list[Cluster],
+        measured: list[tuple[FloatArray, FloatArray]],
+        stack: StackedPoints,
+        current: list[Track],
+        sensor_map: FloatArray,
+    ) -> NDArray[np.bool_]:
+        """Return which clusters are but the visible part of something larger.
+
+        Without a bright point, and with more points around, it is not a UAV that is seen.
+        """
+        solid = np.zeros(len(clusters), np.bool_)
+        dim = [j for j, cluster in enumerate(clusters) if cluster.bright == 0]
+        if self._settings.size_gate and dim and current:
+            z = np.array([measured[j][0] for j in dim])
+            p = np.array([track.motion.p_map for track in current])
+            nearest = np.argmin(np.linalg.norm(z[:, None] - p, axis=2), axis=1)
+            velocities = np.array([track.motion.v_map for track in current])[nearest]
+            bodies = Regions(z, velocities, np.zeros(len(z)))
+            counts = self._search.survey(stack, bodies, nearest.tolist(), current, sensor_map)
+            around = counts[:, region_kernels.BELOW :].sum(axis=1)
+            solid[dim] = around > 1.0 + _SOLID_SHARE * counts[:, region_kernels.BODY]
+        return solid
+
+    def _look_around(
+        self,
+        seen: list[Track],
+        current: list[Track],
+        stack: StackedPoints,
+        odometry: Odometry,
+        sensor_map: FloatArray,
+    ) -> None:
+        if not seen or not self._settings.proof_of_flight:
+            return
+        names = [current.index(track) for track in seen]
+        bodies = Regions.around(seen)
+        counts = self._search.survey(stack, bodies, names, current, sensor_map)
+        expected = self._surroundings.expected_foot(bodies.centres_map, sensor_map, odometry.q_map_body)
+        for track, count, foot in zip(seen, counts, expected, strict=True):
+            track.proof.look_around(count, float(foot))
 
     def _merge(self, t_ns: int) -> None:
         """Of two tracks of one body keep the proven one, or else the older one."""

@@ -14,6 +14,7 @@ from companion.clock import seconds_to_ns
 from companion.geometry import rotation
 from companion.messages import FloatArray
 from companion.perception.tracking import region_kernels
+from companion.perception.tracking.body import outline_m
 from companion.perception.tracking.settings import Tape, TrackingSettings
 
 _MOST_EVIDENCE = 2.0  # in thresholds: what is proven can still be disproven
@@ -31,9 +32,6 @@ class Surroundings:
         """Prepare for a sensor mounted with attitude `q_body_lidar` (4,)."""
         self._settings = settings
         self._q_body_lidar = q_body_lidar
-        # Arms, rotors and legs reach beyond the cylinder that stands for the body.
-        self.half_width_m = settings.body_radius_m + 0.13
-        self.half_height_m = 0.5 * settings.body_height_m + 0.09
 
     def expected_foot(
         self, centres_map: FloatArray, sensor_map: FloatArray, q_map_body: FloatArray
@@ -46,7 +44,9 @@ class Surroundings:
             q_map_body: (4,) own attitude.
         """
         settings = self._settings
-        depth = self.half_height_m + settings.surroundings_m * (np.arange(_FOOT_STEPS) + 0.5) / _FOOT_STEPS
+        depth = (
+            outline_m(settings)[1] + settings.surroundings_m * (np.arange(_FOOT_STEPS) + 0.5) / _FOOT_STEPS
+        )
         feet = centres_map[:, None, :] - sensor_map - depth[None, :, None] * np.array([0.0, 0.0, 1.0])
         q_lidar_map = rotation.conjugate(rotation.multiply(q_map_body, self._q_body_lidar))
         feet_lidar = rotation.rotate(q_lidar_map, feet)
