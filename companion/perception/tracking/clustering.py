@@ -26,7 +26,8 @@ class FilteredPoints:
         ages_s: (n,) how long ago they were measured.
         fresh: (n,) 1 for points of the newest scan.
         bright: (n,) 1 for bright points.
-        owners: (n,) track each one lies at, or -1.
+        owners: (n,) track each one lies at, from `tracks` on a place where a new one may be, or -1.
+        tracks: number of tracks.
     """
 
     measured_map: FloatArray
@@ -35,6 +36,7 @@ class FilteredPoints:
     fresh: ByteArray
     bright: ByteArray
     owners: NDArray[np.int32]
+    tracks: int
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,10 +77,19 @@ def epsilons(ranges_m: FloatArray, settings: TrackingSettings) -> FloatArray:
 
 
 def least_points(range_m: float, settings: TrackingSettings) -> int:
-    """Return how many points a new neighbour must show at this range."""
+    """Return how many points of the stack a new neighbour must show at this range."""
     nearer = settings.min_points_range_m / max(range_m, 1e-3)
     wanted = round(settings.min_points * nearer**2)
     return int(min(max(wanted, settings.min_points_floor), settings.min_points))
+
+
+def is_enough(cluster: Cluster, settings: TrackingSettings) -> bool:
+    """Return whether a cluster has the points of a new neighbour.
+
+    What moves fast leaves its points of each scan at another place, so the newest ones may stand for all.
+    """
+    most = max(cluster.points, cluster.fresh * settings.stacked_scans)
+    return most >= least_points(cluster.range_m, settings)
 
 
 def find_clusters(
@@ -98,7 +109,7 @@ def find_clusters(
 
 def _share_out(labels: NDArray[np.int32], count: int, points: FilteredPoints) -> int:
     """Divide clusters in which several tracks have points: bodies that pass closely look like one."""
-    claimed = (labels >= 0) & (points.owners >= 0)
+    claimed = (labels >= 0) & (points.owners >= 0) & (points.owners < points.tracks)
     pairs = np.unique(np.column_stack([labels[claimed], points.owners[claimed]]), axis=0)
     for label in np.flatnonzero(np.bincount(pairs[:, 0], minlength=1) > 1):
         inside = np.flatnonzero(labels == label)
@@ -154,7 +165,7 @@ def trim(
     if not settings.size_gate or not trusted.any():
         return
     reach_m = settings.body_radius_m + _REACH_BEYOND_BODY_M
-    of_trusted = points.owners >= 0
+    of_trusted = (points.owners >= 0) & (points.owners < points.tracks)
     of_trusted[of_trusted] = trusted[points.owners[of_trusted]]
     for label in np.unique(labels[of_trusted & (labels >= 0)]):
         inside = np.flatnonzero(labels == label)

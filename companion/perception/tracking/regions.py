@@ -90,7 +90,8 @@ class RegionSearch:
             ages_s=ages,
             fresh=(chosen < stack.fresh).astype(np.uint8),
             bright=stack.bright[chosen],
-            owners=np.where(owners < len(tracks), owners, -1).astype(np.int32),
+            owners=owners,
+            tracks=len(tracks),
         )
 
     def survey(

@@ -19,8 +19,8 @@ from companion.perception.tracking.clustering import (
     Cluster,
     describe,
     find_clusters,
+    is_enough,
     is_small,
-    least_points,
     trim,
 )
 from companion.perception.tracking.filtering import ScanStack, StackedPoints
@@ -124,15 +124,13 @@ class NeighbourTracker:
         return self._t_ns is not None and track.unseen_s(self._t_ns) <= self._settings.inactive_s + 0.01
 
     def _is_plausible(self, cluster: Cluster) -> bool:
-        enough = self._settings.sparse_updates or cluster.points >= least_points(
-            cluster.range_m, self._settings
-        )
+        enough = self._settings.sparse_updates or is_enough(cluster, self._settings)
         return cluster.fresh > 0 and enough and is_small(cluster, self._settings)
 
     def _may_begin(self, cluster: Cluster, z_map: FloatArray, current: list[Track]) -> bool:
         """Return whether a cluster that belongs to no current track may be another UAV."""
         settings = self._settings
-        if cluster.points < least_points(cluster.range_m, settings):
+        if not is_enough(cluster, settings):
             return False
         if settings.tape is Tape.REFLECTIVE and cluster.bright_share <= settings.bright_share:
             return False
