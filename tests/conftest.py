@@ -7,9 +7,11 @@ import pytest
 _ONE_AT_A_TIME = frozenset(
     {
         "test_companion_process",
+        "test_external_odometry_link",
         "test_livox_driver",
         "test_livox_sdk",
         "test_mavlink_sockets",
+        "test_odometry_peer",
         "test_preflight_emulated",
         "test_px4_flight",
         "test_px4_link",

@@ -116,6 +116,30 @@ WRONG: dict[str, tuple[str | bytes, str]] = {
         GOOD + "authorisation: {sources: [mode_swich]}\n",
         ":7:27: authorisation.sources[0]: found text 'mode_swich', allowed is one of 'mode_switch'",
     ),
+    "unknown source of odometry": (
+        GOOD + "odometry: {source: extern}\n",
+        ":7:20: odometry.source: found text 'extern', allowed is one of 'lidar_inertial', 'external'",
+    ),
+    "external odometry on the autopilot's port": (
+        GOOD + "odometry: {source: external}\nexternal_odometry: {port: 14540}\n",
+        ":8:27: external_odometry.port: found 14540, which the LiDAR or the autopilot uses, allowed another",
+    ),
+    "external odometry in an unknown frame": (
+        GOOD + "external_odometry: {frames: [local_enu]}\n",
+        ":7:30: external_odometry.frames[0]: found text 'local_enu', allowed is one of 'local_frd'",
+    ),
+    "external odometry in no frame": (
+        GOOD + "external_odometry: {frames: []}\n",
+        ":7:29: external_odometry.frames: found a list of 0 items",
+    ),
+    "external odometry lost before it is stale": (
+        GOOD + "odometry: {external: {lost_after_s: 0.2}}\n",
+        "odometry.external: lost_after_s must be more than stale_after_s",
+    ),
+    "external odometry stale between two messages": (
+        GOOD + "odometry: {external: {min_rate_hz: 2.0}}\n",
+        "odometry.external: stale_after_s must be at least the period of min_rate_hz",
+    ),
     "address": (
         GOOD + "lidar: {lidar_ip: 192.168.1.300}\n",
         ":7:19: lidar.lidar_ip: '192.168.1.300' is not an IPv4",

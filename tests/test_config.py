@@ -32,6 +32,9 @@ BEYOND_SCHEMA = {
     "link",
     "circle",
     "base missing",
+    "external odometry on the autopilot's port",
+    "external odometry lost before it is stale",
+    "external odometry stale between two messages",
 }
 # Not readable as data at all, or not by a common YAML reader.
 BEYOND_YAML = {

@@ -55,7 +55,7 @@ def _judge(
     age_s = (now_ns - newest.t_valid_ns) / NANOSECONDS_PER_SECOND
     rate_hz = len(messages) * NANOSECONDS_PER_SECOND / _LISTEN_NS
     quality = newest.quality or limits.unstated_quality
-    if age_s > limits.stale_after_s:
+    if age_s > limits.lost_after_s:
         return Check(NAME, "fail", f"it stopped: the newest message is {age_s:.1f} s old")
     if rate_hz < limits.min_rate_hz:
         reason = f"it comes at {rate_hz:.1f} Hz, at least {limits.min_rate_hz:g} Hz are needed"

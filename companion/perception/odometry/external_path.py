@@ -123,12 +123,16 @@ class StatedPath:
         rows = np.empty((last - first + 1, SEGMENT_WIDTH))
         rows[:-1] = self._rows[first:last]
         rows[:-1, _TIME] = (times[first:last] - start_ns) * 1e-9
-        if end_ns == self._end_ns:
-            rows[-1], twist = self._end, self._end_twist
+        before_ns = int(times[last - 1])
+        known = last < self._count
+        after_ns = int(times[last]) if known else self._end_ns
+        twist = self._twists[last] if known else self._end_twist
+        if end_ns == after_ns:
+            rows[-1] = self._rows[last] if known else self._end
         else:
-            dt = (end_ns - int(times[last - 1])) * 1e-9
-            rows[-1], twist = _moved(rows[-2], dt), self._twists[last - 1].copy()
-            twist[:3] += rows[-2, _A] * dt
+            rows[-1] = _moved(rows[-2], (end_ns - before_ns) * 1e-9)
+            share = (end_ns - before_ns) / (after_ns - before_ns)
+            twist = self._twists[last - 1] + share * (twist - self._twists[last - 1])
         rows[-1, _TIME] = (end_ns - start_ns) * 1e-9
         motion = rows[-1, 1:16].copy()
         motion[V] = twist[:3]

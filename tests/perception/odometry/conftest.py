@@ -5,9 +5,18 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from companion.messages import FloatArray, ImuSample, LidarScan, Odometry, OdometryStatus, RegisteredScan
+from companion.messages import (
+    ExternalOdometry,
+    FloatArray,
+    ImuSample,
+    LidarScan,
+    Odometry,
+    OdometryStatus,
+    RegisteredScan,
+)
 from companion.perception.odometry.lio import LidarInertialOdometry
 from companion.perception.odometry.settings import OdometrySettings
+from tests.perception.odometry.external_flight import END_NS, Peer, messages
 from tests.perception.odometry.simulated_flight import (
     T_BODY_LIDAR,
     T_LIDAR_IMU,
@@ -86,3 +95,15 @@ def room_flight() -> SimulatedFlight:
 @pytest.fixture(scope="session")
 def room_events(room_flight: SimulatedFlight) -> list[ImuSample | LidarScan]:
     return list(room_flight.events())
+
+
+@pytest.fixture(scope="session")
+def inertial(field_events: list[ImuSample | LidarScan]) -> list[ImuSample | LidarScan]:
+    """The flight without its scans: cheaper where they do not matter."""
+    return [event for event in field_events if isinstance(event, ImuSample)]
+
+
+@pytest.fixture(scope="session")
+def sent(field_flight: SimulatedFlight) -> list[ExternalOdometry]:
+    """What another process sends of it."""
+    return messages(field_flight, END_NS, Peer())

@@ -1,16 +1,38 @@
-"""What another process would send of a simulated flight, between the sensor's own events."""
+"""What another process would send of a simulated flight, and what our estimator makes of it."""
 
 import heapq
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from companion.geometry import rotation
-from companion.messages import ExternalOdometry, ImuSample, LidarScan, SensorEvent
-from tests.perception.odometry.simulated_flight import CLOCK_OFFSET_NS, SimulatedFlight
+from companion.messages import (
+    ExternalOdometry,
+    FloatArray,
+    ImuSample,
+    LidarScan,
+    Odometry,
+    OdometryStatus,
+    RegisteredScan,
+    SensorEvent,
+)
+from companion.perception.odometry.external import ExternalMotionEstimator
+from companion.perception.odometry.external_settings import ExternalMotionSettings
+from companion.perception.odometry.settings import OdometrySettings
+from tests.perception.odometry.simulated_flight import (
+    CLOCK_OFFSET_NS,
+    T_BODY_LIDAR,
+    T_LIDAR_IMU,
+    SimulatedFlight,
+)
 
+Events = list[ImuSample | LidarScan]
 Change = Callable[[ExternalOdometry], ExternalOdometry | None]
+
+
+INITIALISING, TRACKING, DEGRADED, LOST = OdometryStatus
+END_NS = 8_900_000_000
 
 
 @dataclass(frozen=True)
@@ -24,6 +46,9 @@ class Peer:
     velocity_sigma: float = 0.02
     states_velocity: bool = True
     from_s: float = 0.1
+
+
+EXACT = Peer(position_sigma_m=0.0, rotation_sigma_deg=0.0, velocity_sigma=0.0)
 
 
 def messages(flight: SimulatedFlight, end_ns: int, peer: Peer, seed: int = 5) -> list[ExternalOdometry]:
@@ -76,3 +101,57 @@ def after(t_s: float, **fields: object) -> Change:
     """Return a change of some fields from a sensor time on."""
     limit_ns = round(t_s * 1e9) + CLOCK_OFFSET_NS
     return lambda other: replace(other, **fields) if other.t_valid_ns >= limit_ns else other  # type: ignore[arg-type]
+
+
+@dataclass(frozen=True)
+class Run:
+    """What the estimator made of its events."""
+
+    odometry: list[Odometry]
+    scans: list[RegisteredScan]
+    estimator: ExternalMotionEstimator
+
+    def at(self, t_s: float) -> Odometry:
+        """Return the newest odometry at a sensor time."""
+        return [entry for entry in self.odometry if entry.t_sensor_ns <= t_s * 1e9][-1]
+
+    def between(self, start_s: float, end_s: float) -> list[Odometry]:
+        return [entry for entry in self.odometry if start_s * 1e9 <= entry.t_sensor_ns <= end_s * 1e9]
+
+    @property
+    def tracked(self) -> list[Odometry]:
+        return [entry for entry in self.odometry if entry.status is TRACKING]
+
+
+def run(
+    events: Iterable[SensorEvent],
+    settings: ExternalMotionSettings | None = None,
+    output_hz: float = 50.0,
+) -> Run:
+    limits = settings or ExternalMotionSettings()
+    estimator = ExternalMotionEstimator(
+        OdometrySettings(source="external", external=limits, output_hz=output_hz), T_BODY_LIDAR, T_LIDAR_IMU
+    )
+    odometry: list[Odometry] = []
+    scans: list[RegisteredScan] = []
+    for event in events:
+        for output in estimator.handle(event):
+            if isinstance(output, RegisteredScan):
+                scans.append(output)
+            else:
+                odometry.append(output)
+    return Run(odometry, scans, estimator)
+
+
+def rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def errors(flight: SimulatedFlight, odometry: list[Odometry]) -> tuple[float, float, float]:
+    """Return RMS errors of position (m), attitude (deg) and velocity (m/s)."""
+    p, q, v = flight.truth(np.array([entry.t_sensor_ns for entry in odometry]))
+    return (
+        rms(np.linalg.norm([entry.p_map for entry in odometry] - p, axis=1)),
+        rms(np.degrees(rotation.angle_between(np.array([entry.q_map_body for entry in odometry]), q))),
+        rms(np.linalg.norm([entry.v_map for entry in odometry] - v, axis=1)),
+    )
