@@ -117,7 +117,7 @@ def enter(
 def _enter(name: str, mount: Mount, capacity: int, settings: OdometrySettings | None) -> Trial | str:
     """Return the system ready to run, or why it cannot."""
     if name == COMPANION:
-        return Trial(name, CompanionOdometry(mount, settings), capacity)
+        return Trial(name, CompanionOdometry(mount, settings), capacity, forgiving=False)
     try:
         return Trial(name, PEERS[name](mount), capacity)
     except ImportError as error:

@@ -84,13 +84,14 @@ class Track:
 class Trial:
     """One system in one flight."""
 
-    def __init__(self, name: str, contender: Contender, capacity: int) -> None:
+    def __init__(self, name: str, contender: Contender, capacity: int, *, forgiving: bool = True) -> None:
         """Prepare to measure.
 
         Args:
             name: of the system.
             contender: fresh, without memory of another flight.
             capacity: expected number of scans.
+            forgiving: what the system raises is its result; else it ends the comparison.
         """
         self.name = name
         self.setup = contender.setup
@@ -100,6 +101,7 @@ class Trial:
         self.samples = 0
         self.sample_cpu_ns = 0
         self._contender = contender
+        self._forgiving = forgiving
         self._clock = SystemClock()
 
     @property
@@ -116,7 +118,9 @@ class Trial:
         wall_ns, cpu_ns = self._clock.now_ns(), self._clock.process_cpu_ns()
         try:
             estimate = job()
-        except Exception as error:  # whatever a system raises is its own result
+        except Exception as error:
+            if not self._forgiving:
+                raise
             self._failed(f"{type(error).__name__}: {error}")
             return
         cpu_ns, wall_ns = self._clock.process_cpu_ns() - cpu_ns, self._clock.now_ns() - wall_ns

@@ -1,6 +1,7 @@
 from collections.abc import Iterator
 
 import numpy as np
+import pytest
 
 from companion.geometry import rotation
 from companion.geometry.pose import Pose
@@ -86,6 +87,13 @@ def test_what_a_system_raises_or_makes_up_is_counted_and_the_others_fly_on() -> 
     assert bad.coverage_percent == 100.0 * 77 / 80
     assert good.ape_rmse_m is not None
     assert good.ape_rmse_m < 1e-9
+
+
+def test_an_error_of_our_own_is_not_forgiven() -> None:
+    race = Race([Trial("ours", _Scripted([], "ours", raises_at=3), 16, forgiving=False)])
+    race.take(_scan(2))
+    with pytest.raises(RuntimeError):
+        race.take(_scan(3))
 
 
 def test_without_truth_there_are_times_but_no_errors() -> None:
