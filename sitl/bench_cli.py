@@ -116,6 +116,51 @@ def odometry(
     conclude(body, json_output)
 
 
+@app.command(epilog="Example: sitl bench consistency --worlds pillars,forest --runs 20")
+def consistency(
+    worlds: Annotated[
+        str, typer.Option(help="Worlds to fly in, separated by commas: indoor, pillars, forest, ...")
+    ] = "all",
+    runs: Annotated[int, typer.Option(min=1, max=10_000, help="Flights in each world.")] = 20,
+    seconds: Annotated[float, typer.Option(min=5.0, max=3600.0, help="Duration of a flight.")] = 25.0,
+    seed: Annotated[int, typer.Option(min=0, help="Of the first flight: world, biases and noise.")] = 1,
+    json_output: AsJson = False,
+) -> None:
+    """Whether the covariance sent to the autopilot is true, over many flights.
+
+    NEES: squared error in units of the published covariance, by degree of freedom, at a quarter, half, three
+    quarters and the end of each flight; 1 if it is true. Leaves with 0 only if the means of position and
+    attitude lie within the bounds that hold for 95 % of such means (all worlds together, if several).
+    """
+    from sitl.bench.courses import COURSES
+
+    wanted = _names(worlds, tuple(COURSES), "world")
+
+    def body() -> tuple[Result, ExitCode]:
+        from companion.kernel_cache import load_kernels
+        from sitl.bench.consistency import Row, as_dict, measure
+
+        load_kernels()
+        table, progress = _Table(), _Progress()
+
+        def on_run(world: str, count: int, row: Row) -> None:
+            shown = f"position {row.position_nees:.2f}, attitude {row.attitude_nees:.2f}"
+            progress.show(f"{world}: {count} of {runs} flights, NEES {shown}")
+
+        rows: list[dict[str, object]] = []
+        try:
+            for row in measure(wanted, runs, seconds, seed, on_run):
+                progress.clear()
+                rows.append(as_dict(row))
+                if not json_output:
+                    table.show(rows[-1])
+        finally:
+            progress.clear()
+        return {"rows": rows}, ExitCode.OK if rows[-1]["consistent"] else ExitCode.NO_GO
+
+    conclude(body, json_output)
+
+
 @app.command(epilog="Example: sitl bench flights --seeds 20")
 def flights(
     scenario: Annotated[Path, typer.Argument(help="YAML scenario.")] = _DEMO,

@@ -87,7 +87,7 @@ def publish(
         omega_imu: (3,) rate free of bias, rad/s.
         p_imu_body: (3,) body in the IMU frame.
         R_imu_body: (3, 3) its axes.
-        correlation: factor on the variance of the pose against the map.
+        correlation: factor on the covariance of pose and velocity against the map.
         floors: (3,) smallest variances of position, rotation and velocity on each axis.
         motion: (13,) receives position, attitude, velocity and rate of the body.
         pose_covariance: (6, 6) receives position in the levelled map, then rotation in the body.
@@ -165,7 +165,7 @@ def publish(
             product[j] = 0.0
             for k in range(18):
                 if J[i, k] != 0.0:
-                    factor = correlation if j < 6 and k < 6 else 1.0
+                    factor = correlation if j < 9 and k < 9 else 1.0
                     product[j] += J[i, k] * factor * covariance[k, j]
         for k in range(9):
             for j in range(18):

@@ -116,8 +116,8 @@ class OdometrySettings(Settings):
     lost_after_s: float = Field(default=4.0, ge=0.5, le=10.0)
     """Without an accepted scan for this long the status is LOST and the odometry restarts."""
 
-    residual_correlation: float = Field(default=4.0, ge=1.0, le=100.0)
-    """How many times larger the variance of a matched pose is than if all residuals were independent:
+    residual_correlation: float = Field(default=2.2, ge=1.0, le=100.0)
+    """How many times larger the variance of a matched motion is than if all residuals were independent:
     they share the map's errors, which do not average out."""
     position_sigma_floor_m: float = Field(default=5e-4, ge=0.0, le=1.0)
     """Smallest published standard deviation of each position axis."""

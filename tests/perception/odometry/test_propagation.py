@@ -55,7 +55,7 @@ def _readable_shaking(stretch: InertialStretch) -> FloatArray:
     third = means[:-4] - 2.0 * means[2:-2] + means[4:]
     dt = (stretch.t_s[-1] - stretch.t_s[0]) / len(x)
     variances = np.mean(third**2, axis=0) / 3.0
-    return np.array([variances[:3].mean(), variances[3:].mean()]) * dt
+    return np.asarray(np.array([variances[:3].mean(), variances[3:].mean()]) * dt)
 
 
 @pytest.mark.parametrize(("start_ms", "end_ms"), [(0, 100), (3, 101), (-20, 12), (96, 130), (31, 32)])
