@@ -63,6 +63,10 @@ class Lockstep:
         """The companion's state."""
         return self._companion.state
 
+    def end_peer(self) -> None:
+        """Let the other odometry process die."""
+        self._peer = None
+
     def step(self) -> None:
         """Advance everything by 5 ms."""
         measured = self._vehicle.step()
