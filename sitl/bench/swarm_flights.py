@@ -4,6 +4,7 @@ Vehicle 0 is the ego vehicle. It stands still at first, as odometry needs it, ta
 the others are in the air from the start.
 """
 
+import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
@@ -92,6 +93,31 @@ class SwarmStep:
     sights: NeighbourSights | None = None
 
 
+def move(scene: SwarmScene, duration_s: float, rng: np.random.Generator) -> Iterator[QuadrotorState]:
+    """Simulate the vehicles alone: their state at the start, then after every step.
+
+    Args:
+        scene: what happens.
+        duration_s: from power-on.
+        rng: of the wind.
+    """
+    wind = Wind(rng, scene.uavs, scene.wind)
+    pillars = uprights(scene.world)
+    start_world = scene.plan(0.0)
+    start_world[0, 2] = 0.0
+    state = dynamics.at_rest(start_world, np.linspace(0.4, 5.0, scene.uavs), settings=scene.vehicle)
+    yield state
+    for index in range(round(duration_s / dynamics.STEP_S)):
+        state = dynamics.step(
+            state,
+            _command(scene, pillars, state, index * dynamics.STEP_S),
+            state.v_world,
+            wind.step(dynamics.STEP_S),
+            settings=scene.vehicle,
+        )
+        yield state
+
+
 def stream(
     scene: SwarmScene,
     duration_s: float,
@@ -106,40 +132,22 @@ def stream(
         rng: of wind and sensor noise.
         lidar: the ego vehicle's scanner.
     """
-    imu_model = ImuModel(rng, T_BODY_LIDAR, scene.imu)
-    lidar_model = Mid360Model(rng, T_BODY_LIDAR, lidar or Mid360Settings())
-    wind = Wind(rng, scene.uavs, scene.wind)
+    wind_rng, rotor_rng, sensor_rng = rng.spawn(3)
+    imu_model = ImuModel(sensor_rng, T_BODY_LIDAR, scene.imu)
+    lidar_model = Mid360Model(sensor_rng, T_BODY_LIDAR, lidar or Mid360Settings())
     others, people = scene.uavs - 1, scene.distractors.people
-    rotor_hz = np.append(_ROTOR_HZ * rng.uniform(0.95, 1.05, others), np.zeros(len(people)))
+    rotor_hz = np.append(_ROTOR_HZ * rotor_rng.uniform(0.95, 1.05, others), np.zeros(len(people)))
     bodies = Bodies(scene.world, [*[uav_body(scene.body)] * others, *people])
-    pillars = uprights(scene.world)
     hull = scene.body.hull_size_m
     sights = SightCounter(others, 0.5 * max(hull[:2]), 0.5 * hull[2])
-    start_world = scene.plan(0.0)
-    start_world[0, 2] = 0.0
-    state = dynamics.at_rest(start_world, np.linspace(0.4, 5.0, scene.uavs), settings=scene.vehicle)
-    yield _step_of(0, state, ())
     pieces: list[PointSlots] = []
-    for index in range(round(duration_s / dynamics.STEP_S)):
+    for index, (state, after) in enumerate(itertools.pairwise(move(scene, duration_s, wind_rng))):
+        if index == 0:
+            yield _step_of(0, state, ())
         start_ns, end_ns = index * dynamics.STEP_NS, (index + 1) * dynamics.STEP_NS
-        after = dynamics.step(
-            state,
-            _command(scene, pillars, state, index * dynamics.STEP_S),
-            state.v_world,
-            wind.step(dynamics.STEP_S),
-            settings=scene.vehicle,
-        )
         start, end = state.kinematics(0), after.kinematics(0)
         sample = imu_model.sample(start_ns, start, end_ns, end, float(after.thrust[0]))
-        p_others, q_others = poses_midway(
-            state.p_world[1:], state.q_world_body[1:], after.p_world[1:], after.q_world_body[1:]
-        )
-        p_people, q_people = scene.distractors.poses((index + 0.5) * dynamics.STEP_S)
-        world = bodies.at(
-            np.vstack([p_others, p_people]),
-            np.vstack([q_others, q_people]),
-            turns=rotor_turns(rotor_hz, index * dynamics.STEP_S),
-        )
+        world = _placed(scene, bodies, state, after, rotor_hz, index * dynamics.STEP_S)
         seen = lidar_model.observe(
             index * _SLOTS_PER_STEP,
             _SLOTS_PER_STEP,
@@ -166,7 +174,20 @@ def stream(
             )
             pieces = []
         yield step
-        state = after
+
+
+def _placed(
+    scene: SwarmScene, bodies: Bodies, start: QuadrotorState, end: QuadrotorState,
+    rotor_hz: FloatArray, t_s: float,
+) -> World:  # fmt: skip
+    """Return the world with everybody where they are in the middle of a step that begins at `t_s`."""
+    p_others, q_others = poses_midway(
+        start.p_world[1:], start.q_world_body[1:], end.p_world[1:], end.q_world_body[1:]
+    )
+    p_people, q_people = scene.distractors.poses(t_s + 0.5 * dynamics.STEP_S)
+    return bodies.at(
+        np.vstack([p_others, p_people]), np.vstack([q_others, q_people]), turns=rotor_turns(rotor_hz, t_s)
+    )
 
 
 def _step_of(t_ns: int, state: QuadrotorState, events: tuple[ImuSample | LidarScan, ...]) -> SwarmStep:

@@ -22,9 +22,10 @@ _RAMP_S = 2.0
 _PULL_PER_S = 1.0
 _CORRECTION_MAX = 1.5
 _LAG_S = 0.5
-_OBSTACLE_ROOM_M = 0.6
+_OBSTACLE_ROOM_M = 0.75
 _VEHICLE_ROOM_M = 0.9
 _CAREFUL_M = 2.5
+_LOWEST_M = 0.8
 
 
 @dataclass(frozen=True)
@@ -167,6 +168,8 @@ def wanted_velocity(plan: Plan, t: float, state: QuadrotorState, pillars: FloatA
     soon = state.p_world + _LAG_S * state.v_world
     _pass_pillars(v, soon, pillars)
     _keep_apart(v, soon)
+    _pass_pillars(v, soon, pillars)
+    v[:, 2] = np.maximum(v[:, 2], _LOWEST_M - soon[:, 2])
     return v
 
 
@@ -194,15 +197,10 @@ def _pass_pillars(v: FloatArray, p_world: FloatArray, pillars: FloatArray) -> No
 
 def _keep_apart(v: FloatArray, p_world: FloatArray) -> None:
     """Let two vehicles approach each other no faster than their distance allows."""
-    n = len(v)
-    for i in range(n):
-        for j in range(i + 1, n):
-            away = p_world[i] - p_world[j]
-            distance = float(np.linalg.norm(away))
-            if distance > _VEHICLE_ROOM_M + 2.0:
-                continue
-            normal = away / max(distance, 1e-6)
-            excess = -float((v[i] - v[j]) @ normal) - 1.2 * (distance - _VEHICLE_ROOM_M)
-            if excess > 0.0:
-                v[i] += 0.5 * excess * normal
-                v[j] -= 0.5 * excess * normal
+    away = p_world[:, None] - p_world[None]
+    distance = np.linalg.norm(away, axis=2)
+    np.fill_diagonal(distance, np.inf)
+    normal = away / np.maximum(distance, 1e-6)[:, :, None]
+    approach = -np.einsum("ijk,ijk->ij", v[:, None] - v[None], normal)
+    excess = np.maximum(approach - 1.2 * (distance - _VEHICLE_ROOM_M), 0.0)
+    v += 0.5 * np.einsum("ij,ijk->ik", excess, normal)

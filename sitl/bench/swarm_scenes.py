@@ -12,6 +12,7 @@ from sitl.bench import courses
 from sitl.bench.swarm_flights import PLAN_START_S as PLAN_START_S
 from sitl.bench.swarm_flights import SwarmScene as SwarmScene
 from sitl.bench.swarm_flights import SwarmStep as SwarmStep
+from sitl.bench.swarm_flights import move as move
 from sitl.bench.swarm_flights import stream as stream
 from sitl.bench.swarm_motion import Plan, Ring, figure_eight, procession, rings
 from sitl.bench.swarm_truth import MapFrame as MapFrame

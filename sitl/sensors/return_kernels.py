@@ -23,6 +23,8 @@ _RETRO_DECADES = 3.0
 _RETRO_FACE = 0.3
 _SHARP_PER_RAD = 0.16 * 180.0 / math.pi
 _MIXED_SHARE = 0.02
+_HALO_STRENGTH_MIN = 0.02
+"""Weaker stray light is lost in the noise: diffuse surfaces have no halo."""
 _GHOST_STRENGTH_MIN = 10.0
 _SPURIOUS_REACH_M = 10.0
 
@@ -187,6 +189,8 @@ def form_returns(
                 )
             if ranging.in_halo(seed, slot, parameters[ranging.HALO_PROBABILITY]):
                 share = u * parameters[ranging.HALO_SHARE]
+                if share * other < _HALO_STRENGTH_MIN:
+                    other = 0.0
             strength, other = (1.0 - share) * strength, share * other
             gap = abs(rim_ranges[i] - ranges[i])
             nearest = ranges[i]

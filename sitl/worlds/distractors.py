@@ -16,7 +16,7 @@ from sitl.worlds.raycast_kernels import CYLINDER
 
 _TAPE_LIFT_M = 0.001
 _PERSON_RADIUS_M = 0.22
-_ATTEMPTS = 4000
+_ATTEMPTS = 1000
 
 
 class DistractorSettings(Settings):
