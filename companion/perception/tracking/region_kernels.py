@@ -108,7 +108,7 @@ def claim(
 
 @compiled(
     "void(float32[:, ::1], float64[::1], int32[::1], float64[::1], float64[:, ::1], float64[:, ::1],"
-    " int32[::1], float64, float64, float64, uint8[::1], uint8[:, :, ::1], float64[:, ::1])"
+    " int32[::1], float64, float64, float64, float64, uint8[::1], uint8[:, :, ::1], float64[:, ::1])"
 )
 def survey(
     points: PointArray,
@@ -121,6 +121,7 @@ def survey(
     half_width_m: float,
     half_height_m: float,
     reach_m: float,
+    beside_m: float,
     proven: NDArray[np.uint8],
     grid: NDArray[np.uint8],
     counts: FloatArray,
@@ -128,7 +129,7 @@ def survey(
     """Count the points on and around each body; those of other proven bodies do not count.
 
     The body is an upright cylinder. Below and above it lies the same cylinder carried on by `reach_m`;
-    beside it, the ring that is `reach_m` wider, as high as the body.
+    beside it, the ring that is `beside_m` wider, as high as the body.
 
     Args:
         points: (n, 3) metres.
@@ -141,6 +142,7 @@ def survey(
         half_width_m: radius of the cylinder, with some margin.
         half_height_m: half its height, with some margin.
         reach_m: see above.
+        beside_m: see above.
         proven: (t,) 1 for tracks known to be UAVs.
         grid: (GRID, GRID, GRID) zeros, left as zeros.
         counts: (k, SURROUNDINGS_WIDTH) out.
@@ -149,7 +151,7 @@ def survey(
     oldest = 0.0
     for i in range(ages_s.shape[0]):
         oldest = max(oldest, ages_s[i])
-    outer = half_width_m + reach_m
+    outer = half_width_m + beside_m
     radii = np.full(centres.shape[0], math.hypot(outer, half_height_m + reach_m))
     _mark(grid, origin, centres, velocities, radii, oldest, 1)
     for i in range(points.shape[0]):

@@ -123,6 +123,7 @@ class RegionSearch:
             np.array(names, np.int32),
             *outline_m(self._settings),
             self._settings.surroundings_m,
+            self._settings.beside_m,
             np.array([track.proof.validated for track in tracks], np.uint8),
             self._grid,
             counts,

@@ -126,6 +126,8 @@ class TrackingSettings(Settings):
     """tau_on: duration for which it must count without a break..."""
     min_on_updates: int = Field(default=2, ge=1, le=50)
     """...and least number of updates in a row."""
+    off_s: float = Field(default=2.0, ge=0.0, le=60.0)
+    """A validated neighbour may show no tape for this long, as when it is seen edge-on."""
     scan_period_s: float = Field(default=0.1, gt=0.0, le=1.0)
     """Time between scans."""
     proof_of_flight: bool = True
@@ -135,11 +137,15 @@ class TrackingSettings(Settings):
     foot_width_m: float = Field(default=0.06, gt=0.0, le=1.0)
     """Width of the thinnest post that is still expected to show under a sign."""
     moved_m: float = Field(default=0.4, gt=0.0, le=10.0)
-    """A candidate that went this far, and not beside anything solid, flies."""
+    """A candidate that went this far, beyond doubt and not beside anything solid, flies..."""
     min_moving_speed: float = Field(default=0.25, ge=0.0, le=10.0)
     """...if it is also this fast, m/s."""
+    moved_sigmas: float = Field(default=5.0, ge=0.0, le=50.0)
+    """Distance and speed must be so many of their standard deviations."""
     surroundings_m: float = Field(default=0.4, gt=0.0, le=2.0)
-    """How far around a body solid things count as attached to it."""
+    """How far below and above a body solid things count as attached to it..."""
+    beside_m: float = Field(default=0.25, gt=0.0, le=2.0)
+    """...and how far beside it."""
     fov_low_deg: float = Field(default=-7.0, ge=-90.0, le=0.0)
     """Lower edge of the sensor's field of view."""
 
@@ -150,6 +156,6 @@ class TrackingSettings(Settings):
             max_range_m=10.0, roi_sigmas=0.0, epsilon_spacings=0.0, core_points=1, sparse_updates=False,
             size_gate=False,
             body_centre=False, association=Association.GREEDY, last_seen_s=0.0, share_memory=0.0,
-            min_on_updates=1, proof_of_flight=False,
+            off_s=0.0, min_on_updates=1, proof_of_flight=False,
             acceleration_fading_s=0.0, acceleration_density=1.0,
         )  # fmt: skip

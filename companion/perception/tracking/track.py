@@ -75,7 +75,7 @@ class Track:
             settings.acceleration_sigma,
             settings.acceleration_fading_s,
         )
-        self.proof = Proof(settings, z_map)
+        self.proof = Proof(settings, self.motion)
         self._settings = settings
 
     @property
@@ -114,7 +114,7 @@ class Track:
             self.motion.update(z_map, R, cluster.age_s)
         self.t_seen_ns = t_ns
         self.points = cluster.points
-        self.proof.judge(cluster.points, cluster.bright, self.motion.p_map, self.motion.v_map, self.sigma_m)
+        self.proof.judge(cluster.points, cluster.bright, self.motion)
 
     def message(self) -> NeighbourTrack:
         """Return it as others see it."""

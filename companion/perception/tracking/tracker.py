@@ -156,6 +156,10 @@ class NeighbourTracker:
         ages = np.array([cluster.age_s for cluster in clusters])
         costs = gated_costs(states, covariances, z, np.array([R for _, R in measured]), ages, self._gate)
         costs[:, solid] = np.inf
+        if self._settings.tape is Tape.REFLECTIVE and self._settings.proof_of_flight:
+            # Only who has proved to be a UAV is known by its dim parts.
+            dim = [cluster.bright == 0 for cluster in clusters]
+            costs[np.outer([not track.proof.validated for track in tracks], dim)] = np.inf
         return global_pairs(costs)
 
     def _measured(

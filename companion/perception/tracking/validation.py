@@ -15,9 +15,13 @@ from companion.geometry import rotation
 from companion.messages import FloatArray
 from companion.perception.tracking import region_kernels
 from companion.perception.tracking.body import outline_m
+from companion.perception.tracking.motion_filter import MotionFilter
 from companion.perception.tracking.settings import Tape, TrackingSettings
 
-_MOST_EVIDENCE = 2.0  # in thresholds: what is proven can still be disproven
+# In thresholds of evidence:
+_MOST_EVIDENCE = 4.0  # what is proven can still be disproven
+_MOTION = 2.0  # what moved may pass by solid things for a while
+_DOUBT = 0.25  # what seems attached by more than this cannot prove itself by moving
 _MOST_AGAINST = 3.0  # attached points of one scan that count
 _CLUTTER = 0.05  # points a scan that seem attached to what floats, and the same for each point on the body
 _RETURNS = 0.7  # share of the beams at a foot that return
@@ -60,16 +64,16 @@ class Surroundings:
 class Proof:
     """The evidence for one track."""
 
-    def __init__(self, settings: TrackingSettings, p_map: FloatArray) -> None:
+    def __init__(self, settings: TrackingSettings, motion: MotionFilter) -> None:
         """Begin without any, at the place of birth."""
         self._settings = settings
-        self._birth_map = p_map.copy()
+        self._birth_map = motion.p_map.copy()
+        self._birth_covariance = motion.covariance[:3, :3].copy()
         self._bright = self._points = 0.0
         self._on = 0
-        self._wanted_on = max(
-            settings.min_on_updates,
-            math.ceil(seconds_to_ns(settings.on_s) / seconds_to_ns(settings.scan_period_s)),
-        )
+        self._wanted_on = max(settings.min_on_updates, _scans(settings.on_s, settings))
+        self._off = 0
+        self._most_off = _scans(settings.off_s, settings)
         self.free = 0.0
         self.moved = False
         self.validated = False
@@ -78,11 +82,6 @@ class Proof:
     def bright_share(self) -> float:
         """Return the remembered share of bright points."""
         return self._bright / self._points if self._points > 0.0 else 0.0
-
-    @property
-    def attached(self) -> bool:
-        """Return whether it seems to stand on, or hang on, something."""
-        return self.free < -0.5 * self._settings.free_evidence
 
     def look_around(self, counts: FloatArray, expected: float) -> None:
         """Take the surroundings of one scan.
@@ -97,34 +96,58 @@ class Proof:
         around = float(counts[region_kernels.BELOW :].sum())
         clutter = _CLUTTER * (1.0 + float(counts[region_kernels.BODY]))
         against = min(around, _MOST_AGAINST) * min(math.log1p(max(expected, 0.5) / clutter), 2.0)
-        most = _MOST_EVIDENCE * self._settings.free_evidence
-        self.free = min(max(self.free + expected - against, -most), most)
+        threshold = self._settings.free_evidence
+        self.free = self.free + expected - against
+        self.free = min(max(self.free, -_MOST_EVIDENCE * threshold), _MOST_EVIDENCE * threshold)
 
-    def judge(self, points: int, bright: int, p_map: FloatArray, v_map: FloatArray, sigma_m: float) -> None:
+    def judge(self, points: int, bright: int, motion: MotionFilter) -> None:
         """Take one update and decide anew.
 
         Args:
             points: of its cluster.
             bright: number of bright ones among them.
-            p_map: (3,) where it is, m.
-            v_map: (3,) how it moves, m/s.
-            sigma_m: standard deviation of its position.
+            motion: where it is and how it moves.
         """
         settings = self._settings
         self._points = settings.share_memory * self._points + points
         self._bright = settings.share_memory * self._bright + bright
-        bright_enough = settings.tape is Tape.NONE or self.bright_share > settings.bright_share
-        self._on = self._on + 1 if bright_enough else 0
-        far = float(np.linalg.norm(p_map - self._birth_map)) > settings.moved_m + 2.0 * sigma_m
-        fast = float(np.linalg.norm(v_map)) > settings.min_moving_speed
-        if far and fast and self.free > -0.25 * settings.free_evidence:
-            self.moved = True
-        flies = self.moved or self.free >= settings.free_evidence
-        if settings.tape is Tape.NONE:
-            flies = self.moved
+        taped = settings.tape is Tape.NONE or self.bright_share > settings.bright_share
+        self._on = self._on + 1 if taped else 0
+        self._off = 0 if taped else self._off + 1
+        if not self.moved:
+            self.moved = self.free > -_DOUBT * settings.free_evidence and self._goes(motion)
+        if self.validated:
+            fixed = settings.proof_of_flight and self._evidence <= -settings.free_evidence
+            self.validated = self._off <= self._most_off and not fixed
+        elif taped and self._on >= self._wanted_on:
+            self.validated = self._flies
+
+    @property
+    def _evidence(self) -> float:
+        """Return the evidence of free space and of motion together."""
+        return self.free + (_MOTION * self._settings.free_evidence if self.moved else 0.0)
+
+    @property
+    def _flies(self) -> bool:
+        settings = self._settings
         if not settings.proof_of_flight:
-            flies = True
-        if bright_enough and flies and self._on >= self._wanted_on:
-            self.validated = True
-        elif not bright_enough or (settings.proof_of_flight and self.attached and not self.moved):
-            self.validated = False
+            return True
+        return self._evidence >= settings.free_evidence and (self.moved or settings.tape is not Tape.NONE)
+
+    def _goes(self, motion: MotionFilter) -> bool:
+        """Return whether it has moved away from its birth and is still moving, beyond doubt."""
+        settings = self._settings
+        way, v = motion.p_map - self._birth_map, motion.v_map
+        far, fast = float(np.linalg.norm(way)), float(np.linalg.norm(v))
+        sigma_p = math.sqrt(float(np.trace(motion.covariance[:3, :3] + self._birth_covariance)))
+        sigma_v = math.sqrt(float(np.trace(motion.covariance[3:, 3:])))
+        return (
+            far > max(settings.moved_m, settings.moved_sigmas * sigma_p)
+            and fast > max(settings.min_moving_speed, settings.moved_sigmas * sigma_v)
+            and float(way @ v) > 0.0
+        )
+
+
+def _scans(duration_s: float, settings: TrackingSettings) -> int:
+    """Return the number of scans in a duration, rounded up."""
+    return math.ceil(seconds_to_ns(duration_s) / seconds_to_ns(settings.scan_period_s))
