@@ -11,6 +11,8 @@ _MAX_WAITING_EVENTS = 400  # two seconds of IMU samples
 _MAX_WAITING_SCANS = 3
 _IDLE_TURN_S = 0.1
 
+Placed = Callable[[SensorEvent, int | None], None]
+
 
 class PerceptionThread:
     """Runs `Pipeline.perceive` beside the event loop."""
@@ -51,25 +53,32 @@ class PerceptionThread:
         self._stopping.set()
         self._thread.join(timeout=2.0)
 
-    def submit(self, event: SensorEvent) -> int | None:
+    def submit(self, event: SensorEvent, placed: Placed | None = None) -> int | None:
         """Queue one event, from any thread; when perception is late, scans go first, and are counted.
+
+        Args:
+            event: what to work on.
+            placed: told the event and the result, before anything can come of the event.
 
         Returns:
             How many events were queued before this one, None if it was left out.
         """
-        is_scan = isinstance(event, LidarScan)
         with self._lock:
-            if is_scan and self._waiting_scans >= _MAX_WAITING_SCANS:
+            place = self._place_of(event)
+            if placed is not None:
+                placed(event, place)
+            if place is None:
                 self.dropped += 1
                 return None
-            try:
-                self._events.put_nowait(event)
-            except queue.Full:
-                self.dropped += 1
-                return None
-            self._waiting_scans += is_scan
+            self._events.put_nowait(event)
+            self._waiting_scans += isinstance(event, LidarScan)
             self._taken += 1
-            return self._taken - 1
+            return place
+
+    def _place_of(self, event: SensorEvent) -> int | None:
+        """Return how many events stand before this one, None if there is no room for it."""
+        no_scan_more = isinstance(event, LidarScan) and self._waiting_scans >= _MAX_WAITING_SCANS
+        return None if no_scan_more or self._events.full() else self._taken
 
     def _run(self) -> None:
         try:

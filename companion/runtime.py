@@ -224,7 +224,7 @@ class Flight:
 
     def _on_sensor_event(self, event: SensorEvent) -> None:
         self._exchange.record_sensor_event(event)
-        self._exchange.record_place(event, self._perception.submit(event))
+        self._perception.submit(event, self._exchange.record_place)
 
     def _on_failure(self, error: Exception) -> None:
         """End the flight because a thread has failed."""
