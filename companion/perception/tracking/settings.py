@@ -88,6 +88,12 @@ class TrackingSettings(Settings):
     """d_match: of the greedy association."""
     gate_probability: float = Field(default=0.9995, ge=0.5, lt=1.0)
     """Share of true pairs that the global association's gate admits."""
+    rescue_factor: float = Field(default=4.0, ge=1.0, le=100.0)
+    """A validated track and a cluster left over still match within a gate so many times as wide."""
+    max_match_m: float = Field(default=0.8, gt=0.0, le=10.0)
+    """Never farther from the prediction than this, however uncertain it is..."""
+    max_return_m: float = Field(default=2.0, gt=0.0, le=20.0)
+    """...or this, when a lost one is found again."""
     inactive_s: float = Field(default=0.5, gt=0.0, le=10.0)
     """t_inactive: an unobserved track is carried on as current for this long."""
     last_seen_s: float = Field(default=3.0, ge=0.0, le=30.0)
@@ -140,6 +146,8 @@ class TrackingSettings(Settings):
     """A candidate that went this far, beyond doubt and not beside anything solid, flies..."""
     min_moving_speed: float = Field(default=0.25, ge=0.0, le=10.0)
     """...if it is also this fast, m/s."""
+    moved_updates: int = Field(default=5, ge=1, le=100)
+    """Observations that it takes to prove motion."""
     moved_sigmas: float = Field(default=5.0, ge=0.0, le=50.0)
     """Distance and speed must be so many of their standard deviations."""
     surroundings_m: float = Field(default=0.4, gt=0.0, le=2.0)

@@ -54,20 +54,33 @@ class Track:
     """A candidate or a validated neighbour."""
 
     def __init__(
-        self, track_id: int, t_ns: int, z_map: FloatArray, R: FloatArray, settings: TrackingSettings
+        self,
+        track_id: int,
+        t_ns: int,
+        cluster: Cluster,
+        z_map: FloatArray,
+        R: FloatArray,
+        settings: TrackingSettings,
     ) -> None:
         """Start with the first observation.
 
         Args:
             track_id: its number.
             t_ns: host time of the scan's end.
+            cluster: what was seen.
             z_map: (3,) measured centre.
             R: (3, 3) its covariance.
             settings: of the tracker.
         """
         self.track_id = track_id
-        self.t_born_ns = self.t_seen_ns = t_ns
-        self.points = 0
+        self.t_born_ns = t_ns
+        self._settings = settings
+        self._begin(t_ns, cluster, z_map, R)
+        self.judge()
+
+    def _begin(self, t_ns: int, cluster: Cluster, z_map: FloatArray, R: FloatArray) -> None:
+        settings = self._settings
+        self.t_seen_ns = t_ns
         self.motion = MotionFilter(
             z_map,
             R,
@@ -76,7 +89,7 @@ class Track:
             settings.acceleration_fading_s,
         )
         self.proof = Proof(settings, self.motion)
-        self._settings = settings
+        self._newest = cluster
 
     @property
     def roi_radius_m(self) -> float:
@@ -98,9 +111,7 @@ class Track:
         """Carry it on."""
         self.motion.predict(dt_s, self._settings.acceleration_density)
 
-    def observe(
-        self, t_ns: int, cluster: Cluster, z_map: FloatArray, R: FloatArray, *, born: bool = False
-    ) -> None:
+    def observe(self, t_ns: int, cluster: Cluster, z_map: FloatArray, R: FloatArray) -> None:
         """Take a measurement.
 
         Args:
@@ -108,13 +119,31 @@ class Track:
             cluster: what was seen.
             z_map: (3,) see `measurement`.
             R: (3, 3) see `measurement`.
-            born: it is the one that began the track.
         """
-        if not born:
-            self.motion.update(z_map, R, cluster.age_s)
+        self.motion.update(z_map, R, cluster.age_s)
         self.t_seen_ns = t_ns
-        self.points = cluster.points
-        self.proof.judge(cluster.points, cluster.bright, self.motion)
+        self._newest = cluster
+
+    def find_again(self, t_ns: int, cluster: Cluster, z_map: FloatArray, R: FloatArray) -> None:
+        """Begin anew where it may have come into sight again; it keeps its number.
+
+        If that is not where it was expected, it has to prove itself again.
+
+        Args:
+            t_ns: host time of the scan's end.
+            cluster: what was seen.
+            z_map: (3,) see `measurement`.
+            R: (3, 3) see `measurement`.
+        """
+        expected = float(np.linalg.norm(z_map - self.motion.p_map)) <= self._settings.max_match_m
+        before = self.proof
+        self._begin(t_ns, cluster, z_map, R)
+        if expected:
+            self.proof.take_over(before)
+
+    def judge(self) -> None:
+        """Decide anew whether it is a UAV, after an observation."""
+        self.proof.judge(self._newest.points, self._newest.bright, self.motion)
 
     def message(self) -> NeighbourTrack:
         """Return it as others see it."""
@@ -125,7 +154,7 @@ class Track:
             covariance=self.motion.covariance.copy(),
             t_born_ns=self.t_born_ns,
             t_seen_ns=self.t_seen_ns,
-            points=self.points,
+            points=self._newest.points,
             bright_share=self.proof.bright_share,
             validated=self.proof.validated,
         )

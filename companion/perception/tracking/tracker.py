@@ -29,6 +29,9 @@ from companion.perception.tracking.settings import Association, Tape, TrackingSe
 from companion.perception.tracking.track import Track, measurement
 from companion.perception.tracking.validation import Surroundings
 
+Measured = tuple[FloatArray, FloatArray]
+"""Position of a body's centre (3,), m, and its covariance (3, 3)."""
+
 _USABLE = (OdometryStatus.TRACKING, OdometryStatus.DEGRADED)
 _SOLID_SHARE = 0.3  # points around a body, for each one on it, above which dim points are not its own
 
@@ -99,25 +102,21 @@ class NeighbourTracker:
         trim(labels, points, trusted, self._settings)
         clusters = [cluster for cluster in describe(labels, points, sensor) if self._is_plausible(cluster)]
         measured = self._measured(clusters, stack, odometry, sensor)
-        pairs = self._pairs(
-            current, clusters, measured, self._solid(clusters, measured, stack, current, sensor)
-        )
-        for i, j in pairs:
-            current[i].observe(t_ns, clusters[j], *measured[j])
-        self._look_around([current[i] for i, _ in pairs], current, stack, odometry, sensor)
-        left = [j for j in range(len(clusters)) if j not in {j for _, j in pairs}]
-        left = [j for j in left if self._may_begin(clusters[j], measured[j][0], current)]
-        found = self._pairs(
-            lost, [clusters[j] for j in left], [measured[j] for j in left], np.zeros(len(left), np.bool_)
-        )
+        solid = self._solid(clusters, measured, stack, current, sensor)
+        matches = self._matches(current, clusters, measured, solid)
+        for track, j in matches:
+            track.observe(t_ns, clusters[j], *measured[j])
+        taken = {j for _, j in matches}
+        free = [j for j in range(len(clusters)) if j not in taken]
+        free = [j for j in free if self._may_begin(clusters[j], measured[j][0])]
+        found = self._pairs(lost, [measured[j] for j in free], [clusters[j].age_s for j in free], self._gate)
         for i, k in found:
-            lost[i].observe(t_ns, clusters[left[k]], *measured[left[k]])
-        for k, j in enumerate(left):
-            if k not in {k for _, k in found} and len(self._tracks) < self._settings.most_tracks:
-                z, R = measured[j]
-                self._tracks.append(Track(self._next_id, t_ns, z, R, self._settings))
-                self._tracks[-1].observe(t_ns, clusters[j], z, R, born=True)
-                self._next_id += 1
+            lost[i].find_again(t_ns, clusters[free[k]], *measured[free[k]])
+        self._judge([track for track in self._tracks if track.t_seen_ns == t_ns], stack, odometry, sensor)
+        begun = [j for k, j in enumerate(free) if k not in {k for _, k in found}]
+        for j in begun[: max(self._settings.most_tracks - len(self._tracks), 0)]:
+            self._tracks.append(Track(self._next_id, t_ns, clusters[j], *measured[j], self._settings))
+            self._next_id += 1
         self._merge(t_ns)
 
     def _is_current(self, track: Track) -> bool:
@@ -127,44 +126,79 @@ class NeighbourTracker:
         enough = self._settings.sparse_updates or is_enough(cluster, self._settings)
         return cluster.fresh > 0 and enough and is_small(cluster, self._settings)
 
-    def _may_begin(self, cluster: Cluster, z_map: FloatArray, current: list[Track]) -> bool:
-        """Return whether a cluster that belongs to no current track may be another UAV."""
+    def _may_begin(self, cluster: Cluster, z_map: FloatArray) -> bool:
+        """Return whether a cluster that belongs to no track seen now may be another UAV."""
         settings = self._settings
         if not is_enough(cluster, settings):
             return False
         if settings.tape is Tape.REFLECTIVE and cluster.bright_share <= settings.bright_share:
             return False
-        near = settings.same_body_m
-        return all(float(np.linalg.norm(track.motion.p_map - z_map)) > near for track in current)
+        return all(
+            float(np.linalg.norm(track.motion.p_map - z_map)) > settings.same_body_m
+            for track in self._tracks
+            if track.t_seen_ns == self._t_ns
+        )
+
+    def _matches(
+        self,
+        tracks: list[Track],
+        clusters: list[Cluster],
+        measured: list[Measured],
+        solid: NDArray[np.bool_],
+    ) -> list[tuple[Track, int]]:
+        """Return which track each cluster (index) continues."""
+        settings = self._settings
+        offered = np.flatnonzero(~solid).tolist()
+        dim = np.zeros(len(offered), np.bool_)
+        if settings.tape is Tape.REFLECTIVE and settings.proof_of_flight:
+            dim = np.array([clusters[j].bright == 0 for j in offered], np.bool_)
+        # Only who has proved to be a UAV is known by its dim parts.
+        banned = np.outer([not track.proof.validated for track in tracks], dim)
+        ages = [clusters[j].age_s for j in offered]
+        pairs = self._pairs(tracks, [measured[j] for j in offered], ages, self._gate, banned)
+        matches = [(tracks[i], offered[k]) for i, k in pairs]
+        if settings.association is Association.GREEDY:
+            return matches
+        # Who turned harder than expected is found by what nobody else explains.
+        seen, used = {i for i, _ in pairs}, {k for _, k in pairs}
+        missed = [track for i, track in enumerate(tracks) if i not in seen and track.proof.validated]
+        left = [j for k, j in enumerate(offered) if k not in used and clusters[j].bright > 0]
+        gate = settings.rescue_factor * self._gate
+        rescued = self._pairs(missed, [measured[j] for j in left], [clusters[j].age_s for j in left], gate)
+        return matches + [(missed[i], left[k]) for i, k in rescued]
 
     def _pairs(
         self,
         tracks: list[Track],
-        clusters: list[Cluster],
-        measured: list[tuple[FloatArray, FloatArray]],
-        solid: NDArray[np.bool_],
+        measured: list[Measured],
+        ages_s: list[float],
+        gate: float,
+        banned: NDArray[np.bool_] | None = None,
     ) -> list[tuple[int, int]]:
-        """Return which track (index) each cluster (index) continues."""
-        if not tracks or not clusters:
+        """Return pairs of track and measurement by their indices."""
+        if not tracks or not measured:
             return []
+        settings = self._settings
         z = np.array([z for z, _ in measured])
         p = np.array([track.motion.p_map for track in tracks])
-        if self._settings.association is Association.GREEDY:
-            return greedy_pairs(np.linalg.norm(p[:, None] - z, axis=2), self._settings.match_distance_m)
+        away = np.linalg.norm(p[:, None] - z, axis=2)
+        if settings.association is Association.GREEDY:
+            return greedy_pairs(away, settings.match_distance_m)
         states = np.column_stack([p, [track.motion.v_map for track in tracks]])
         covariances = np.array([track.motion.covariance for track in tracks])
-        ages = np.array([cluster.age_s for cluster in clusters])
-        costs = gated_costs(states, covariances, z, np.array([R for _, R in measured]), ages, self._gate)
-        costs[:, solid] = np.inf
-        if self._settings.tape is Tape.REFLECTIVE and self._settings.proof_of_flight:
-            # Only who has proved to be a UAV is known by its dim parts.
-            dim = [cluster.bright == 0 for cluster in clusters]
-            costs[np.outer([not track.proof.validated for track in tracks], dim)] = np.inf
+        noises = np.array([R for _, R in measured])
+        costs = gated_costs(states, covariances, z, noises, np.array(ages_s), gate)
+        limits = [
+            settings.max_match_m if self._is_current(track) else settings.max_return_m for track in tracks
+        ]
+        costs[away > np.array(limits)[:, None]] = np.inf
+        if banned is not None:
+            costs[banned] = np.inf
         return global_pairs(costs)
 
     def _measured(
         self, clusters: list[Cluster], stack: StackedPoints, odometry: Odometry, sensor_map: FloatArray
-    ) -> list[tuple[FloatArray, FloatArray]]:
+    ) -> list[Measured]:
         settings = self._settings
         factor = settings.degraded_factor if odometry.status is OdometryStatus.DEGRADED else 1.0
         jitter = (
@@ -181,7 +215,7 @@ class NeighbourTracker:
     def _solid(
         self,
         clusters: list[Cluster],
-        measured: list[tuple[FloatArray, FloatArray]],
+        measured: list[Measured],
         stack: StackedPoints,
         current: list[Track],
         sensor_map: FloatArray,
@@ -203,22 +237,18 @@ class NeighbourTracker:
             solid[dim] = around > 1.0 + _SOLID_SHARE * counts[:, region_kernels.BODY]
         return solid
 
-    def _look_around(
-        self,
-        seen: list[Track],
-        current: list[Track],
-        stack: StackedPoints,
-        odometry: Odometry,
-        sensor_map: FloatArray,
+    def _judge(
+        self, seen: list[Track], stack: StackedPoints, odometry: Odometry, sensor_map: FloatArray
     ) -> None:
-        if not seen or not self._settings.proof_of_flight:
-            return
-        names = [current.index(track) for track in seen]
-        bodies = Regions.around(seen)
-        counts = self._search.survey(stack, bodies, names, current, sensor_map)
-        expected = self._surroundings.expected_foot(bodies.centres_map, sensor_map, odometry.q_map_body)
-        for track, count, foot in zip(seen, counts, expected, strict=True):
-            track.proof.look_around(count, float(foot))
+        """Let the tracks seen now gather evidence, and decide which are UAVs."""
+        if seen and self._settings.proof_of_flight:
+            bodies = Regions.around(seen)
+            counts = self._search.survey(stack, bodies, list(range(len(seen))), seen, sensor_map)
+            expected = self._surroundings.expected_foot(bodies.centres_map, sensor_map, odometry.q_map_body)
+            for track, count, foot in zip(seen, counts, expected, strict=True):
+                track.proof.look_around(count, float(foot))
+        for track in seen:
+            track.judge()
 
     def _merge(self, t_ns: int) -> None:
         """Of two tracks of one body keep the proven one, or else the older one."""

@@ -70,6 +70,7 @@ class Proof:
         self._birth_map = motion.p_map.copy()
         self._birth_covariance = motion.covariance[:3, :3].copy()
         self._bright = self._points = 0.0
+        self._updates = 0
         self._on = 0
         self._wanted_on = max(settings.min_on_updates, _scans(settings.on_s, settings))
         self._off = 0
@@ -77,6 +78,11 @@ class Proof:
         self.free = 0.0
         self.moved = False
         self.validated = False
+
+    def take_over(self, before: "Proof") -> None:
+        """Believe what another one has proved until there is evidence against it."""
+        self.validated = before.validated
+        self.free = min(before.free, self._settings.free_evidence)
 
     @property
     def bright_share(self) -> float:
@@ -109,12 +115,13 @@ class Proof:
             motion: where it is and how it moves.
         """
         settings = self._settings
+        self._updates += 1
         self._points = settings.share_memory * self._points + points
         self._bright = settings.share_memory * self._bright + bright
         taped = settings.tape is Tape.NONE or self.bright_share > settings.bright_share
         self._on = self._on + 1 if taped else 0
         self._off = 0 if taped else self._off + 1
-        if not self.moved:
+        if not self.moved and self._updates >= settings.moved_updates:
             self.moved = self.free > -_DOUBT * settings.free_evidence and self._goes(motion)
         if self.validated:
             fixed = settings.proof_of_flight and self._evidence <= -settings.free_evidence
