@@ -65,9 +65,11 @@ def test_when_perception_is_late_scans_are_dropped_but_no_imu_sample() -> None:
     thread.submit(imu(0))
     assert estimator.entered.wait(5.0)
     places = []
+    told: list[tuple[int, int | None]] = []
     for index in range(10):
         places.append(thread.submit(scan(index)))
-        places.append(thread.submit(imu(index + 1)))
+        places.append(thread.submit(imu(index + 1), lambda event, place: told.append((event.t_ns, place))))
+    assert [place for _, place in told] == places[1::2]
     assert places == [1, 2, 3, 4, 5, 6, *(place for index in range(7) for place in (None, 7 + index))]
     estimator.gate.set()
     thread.stop()

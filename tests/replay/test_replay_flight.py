@@ -30,6 +30,7 @@ from sitl.lockstep import BOOT_NS, fly_lockstep
 from sitl.recording_writers.captures import write_pcap
 from sitl.scenario import load_scenario, set_stage
 from tests.replay.edited_logs import copy_log
+from tests.sitl.external_scenario import write_external_scenario
 from tests.sitl.short_flight import write_scenario
 
 SECOND_NS = 1_000_000_000
@@ -136,6 +137,16 @@ class TestSameBytes:
         result = run(short, "log.imu=true", odometry_only=True)
         assert [(change.name, change.replayed) for change in result.configuration] == [("log.imu", "true")]
         assert result_of(result, channels.IMU).extra > 700
+
+    def test_a_flight_on_another_process_odometry_comes_out_as_recorded(self, tmp_path: Path) -> None:
+        load_kernels()
+        scenario = write_external_scenario(tmp_path, max_duration_s=6.0)
+        log = tmp_path / "flight.mcap"
+        fly_lockstep(set_stage(load_scenario(scenario), tmp_path, None), log)
+        assert len(recorded(log, channels.EXTERNAL_ODOMETRY)) > 50
+        result = run(log)
+        assert result.equal, text_of(result)
+        assert result_of(result, channels.SCAN).equal > 20
 
 
 class TestDifferences:
