@@ -222,9 +222,11 @@ def replay(
         load_kernels()
         request = ReplayRequest(log, tuple(assignments or ()), profile, odometry_only, tum, out)
         tells = sys.stderr.isatty()
-        result = run_replay(request, SystemClock(), _show_replay if tells else None)
-        if tells:
-            print("\r" + " " * _PROGRESS_COLUMNS + "\r", end="", file=sys.stderr)
+        try:
+            result = run_replay(request, SystemClock(), _show_replay if tells else None)
+        finally:
+            if tells:
+                print("\r" + " " * _PROGRESS_COLUMNS + "\r", end="", file=sys.stderr)
         if not json_output:
             for line in lines_of(result):
                 print(line)
