@@ -1,5 +1,6 @@
 """Correcting the predicted state with one scan: the iterated point-to-plane update."""
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -7,17 +8,12 @@ from numpy.typing import NDArray
 
 from companion.messages import FloatArray
 from companion.perception.odometry import matching_kernels
-from companion.perception.odometry.degeneracy import Observability, keep_observed
+from companion.perception.odometry import registration_kernels as kernels
+from companion.perception.odometry.degeneracy import Observability
 from companion.perception.odometry.preprocessing import MOST_POINTS
 from companion.perception.odometry.settings import OdometrySettings
-from companion.perception.odometry.state import NavigationState, P
+from companion.perception.odometry.state import NavigationState
 from companion.perception.odometry.voxel_map import VoxelMap
-
-_SMALL_STEP_M = 5e-4
-_SEARCH_AGAIN_CELLS = 0.1  # of a fine cell: planes found farther away than this are searched anew
-_LEVER_M = 10.0  # distance of a typical point, to speak of rotations in metres
-_WORST_NORMALISED_RMS = 2.5
-_COARSE_ITERATIONS = 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,9 +55,7 @@ class ScanMatcher:
         self._settings = settings
         self._fine, self._coarse = fine, coarse
         self._planes = np.zeros((MOST_POINTS, matching_kernels.PLANE_WIDTH))
-        self._information = np.zeros((6, 6))
-        self._gradient = np.zeros(6)
-        self._statistics = np.zeros(4)
+        self._tuning = _packed(settings)
 
     def correct(
         self, predicted: NavigationState, points_imu: FloatArray, chosen: NDArray[np.int64]
@@ -117,80 +111,15 @@ class ScanMatcher:
     def _iterate(
         self, predicted: NavigationState, points_imu: FloatArray, chosen: NDArray[np.int64]
     ) -> Correction:
-        """Run the iterated update.
-
-        With A = H' W H and b = -H' W r at the present iterate, whose error from the prediction is e,
-        the next error is P E (I + A E'P E)^-1 (b + A E'e), where E selects the pose; the 18 x 18 prior
-        is never inverted. Source: W. Xu et al., "FAST-LIO2", 2022, equation 19, by the matrix
-        inversion lemma.
-        """
-        prior = predicted.covariance
-        pose_prior = np.ascontiguousarray(prior[:6, :6])
-        state, error = predicted, np.zeros(18)
-        searched_at: NavigationState | None = None
-        # A prediction less certain than a fine cell would find the wrong ones of its planes, so coarse
-        # ones come first; what they bring near enough is then gated as narrowly as if it had been near.
-        spread = _spread_m(pose_prior) / self._settings.fine_cell_m
-        fine = spread < 1.0
-        gate = pose_prior
-        observability: Observability | None = None
-        found = matched = iterations = searches = 0
-        A = self._information
-        reach_m = self._settings.fine_cell_m * _SEARCH_AGAIN_CELLS
-        while iterations < self._settings.max_iterations:
-            if searched_at is None or _displacement_m(searched_at, state) > reach_m:
-                found = self._find_planes(state, points_imu, chosen, fine)
-                searched_at = state
-                searches += 1
-            matched = self._accumulate(state, points_imu, chosen, gate)
-            if matched < self._settings.min_effective_points:
-                break
-            A, b, observability = keep_observed(
-                self._information,
-                self._gradient,
-                float(self._statistics[1]),
-                float(self._statistics[2]),
-                self._settings.degenerate_fraction,
-            )
-            error = prior[:, :6] @ np.linalg.solve(np.eye(6) + A @ pose_prior, b + A @ error[:6])
-            previous, state = state, predicted.plus(error)
-            iterations += 1
-            settled = _displacement_m(previous, state) < _SMALL_STEP_M
-            if fine and settled:
-                break
-            if not fine and (settled or iterations >= _COARSE_ITERATIONS):
-                fine, searched_at, gate = True, None, pose_prior / spread**2
-        enough = matched >= self._settings.min_effective_points
-        weight = max(float(self._statistics[1]), 1e-12)
-        normalised_rms = float(np.sqrt(self._statistics[3] / max(matched, 1)))
-        consistent = (
-            matched >= self._settings.consistent_share * found and normalised_rms < _WORST_NORMALISED_RMS
-        )
-        if enough and consistent:
-            gain = np.linalg.solve(np.eye(6) + A @ pose_prior, A)
-            posterior = prior - prior[:, :6] @ gain @ prior[:6, :]
-            state.covariance[:] = 0.5 * (posterior + posterior.T)
-        return Correction(
-            state=state if enough and consistent else predicted,
-            accepted=enough and consistent,
-            offered=len(chosen),
-            found=found,
-            matched=matched,
-            residual_rms_m=float(np.sqrt(self._statistics[0] / weight)),
-            normalised_rms=normalised_rms,
-            observability=observability if enough else None,
-            wide=False,
-            iterations=iterations,
-            searches=searches,
-        )
-
-    def _find_planes(
-        self, state: NavigationState, points_imu: FloatArray, chosen: NDArray[np.int64], fine: bool
-    ) -> int:
-        return matching_kernels.find_planes(
+        """Run the iterated update once; see `registration_kernels.register`."""
+        state = predicted.copy()
+        shares, directions = np.zeros(6), np.zeros((6, 6))
+        summary = np.zeros(kernels.N_SUMMARY)
+        kernels.register(
             points_imu,
             chosen,
-            state.vector,
+            predicted.vector,
+            predicted.covariance,
             self._fine.table_keys,
             self._fine.table_blocks,
             self._fine.block_born,
@@ -201,41 +130,43 @@ class ScanMatcher:
             self._coarse.block_born,
             self._coarse.cells,
             self._coarse.cell_m,
-            self._settings.plane_thickness_m,
-            fine,
-            self._planes,
-        )
-
-    def _accumulate(
-        self,
-        state: NavigationState,
-        points_imu: FloatArray,
-        chosen: NDArray[np.int64],
-        gate: FloatArray,
-    ) -> int:
-        return matching_kernels.accumulate(
-            points_imu,
-            chosen,
+            self._tuning,
             self._planes,
             state.vector,
-            gate,
-            self._settings.range_sigma_m**2,
-            float(np.radians(self._settings.angle_sigma_deg)) ** 2,
-            self._settings.map_sigma_m**2,
-            self._information,
-            self._gradient,
-            self._statistics,
+            state.covariance,
+            shares,
+            directions,
+            summary,
+        )
+        accepted, matched = bool(summary[kernels.ACCEPTED]), int(summary[kernels.MATCHED])
+        observability = None
+        if matched >= self._settings.min_effective_points:
+            kept = shares >= self._settings.degenerate_fraction
+            observability = Observability(shares, directions, float(summary[kernels.LEVER]), kept)
+        return Correction(
+            state=state if accepted else predicted,
+            accepted=accepted,
+            offered=len(chosen),
+            found=int(summary[kernels.FOUND]),
+            matched=matched,
+            residual_rms_m=math.sqrt(summary[kernels.SQUARES] / max(float(summary[kernels.WEIGHT]), 1e-12)),
+            normalised_rms=float(summary[kernels.NORMALISED_RMS]),
+            observability=observability,
+            wide=False,
+            iterations=int(summary[kernels.ITERATIONS]),
+            searches=int(summary[kernels.SEARCHES]),
         )
 
 
-def _spread_m(pose_covariance: FloatArray) -> float:
-    """Return the standard deviation of where a typical point lies, metres."""
-    position = max(0.0, float(np.trace(pose_covariance[:3, :3])))
-    turn = max(0.0, float(np.trace(pose_covariance[3:, 3:])))
-    return float(np.sqrt(position + _LEVER_M**2 * turn))
-
-
-def _displacement_m(before: NavigationState, after: NavigationState) -> float:
-    """Return how far a typical point may have moved between two states, metres."""
-    turn = float(np.linalg.norm(after.R_map_imu - before.R_map_imu)) / np.sqrt(2.0)
-    return float(np.linalg.norm(after.vector[P] - before.vector[P]) + _LEVER_M * turn)
+def _packed(settings: OdometrySettings) -> FloatArray:
+    """Return the numbers that `registration_kernels.register` wants, in its order."""
+    tuning = np.zeros(kernels.N_TUNING)
+    tuning[kernels.THICKNESS_M] = settings.plane_thickness_m
+    tuning[kernels.RANGE_VARIANCE] = settings.range_sigma_m**2
+    tuning[kernels.ANGLE_VARIANCE] = math.radians(settings.angle_sigma_deg) ** 2
+    tuning[kernels.MAP_VARIANCE] = settings.map_sigma_m**2
+    tuning[kernels.LEAST_SHARE] = settings.degenerate_fraction
+    tuning[kernels.MIN_POINTS] = settings.min_effective_points
+    tuning[kernels.MAX_ITERATIONS] = settings.max_iterations
+    tuning[kernels.CONSISTENT_SHARE] = settings.consistent_share
+    return tuning

@@ -3,7 +3,6 @@ import pytest
 
 from companion.geometry import rotation
 from companion.messages import FloatArray, LidarScan
-from companion.perception.odometry.degeneracy import keep_observed
 from companion.perception.odometry.preprocessing import Thinning, nearest_first, usable_points
 from companion.perception.odometry.settings import OdometrySettings
 from companion.perception.odometry.state import NavigationState
@@ -104,23 +103,6 @@ def test_along_a_corridor_the_state_keeps_its_prediction_and_its_uncertainty() -
     np.testing.assert_allclose(correction.state.p_map[1:], [0.02, -0.01], atol=0.003)
     assert float(np.sqrt(correction.state.covariance[0, 0])) > 0.045
     assert float(np.sqrt(correction.state.covariance[1, 1])) < 0.005
-
-
-def test_well_observed_equations_pass_unchanged() -> None:
-    root = np.random.default_rng(6).normal(size=(6, 6))
-    A, b = root @ root.T + np.eye(6), np.arange(6.0)
-    kept_A, kept_b, found = keep_observed(A, b, 10.0, 10.0, 1e-6)
-    assert kept_A is A
-    assert kept_b is b
-    assert found.degenerate == 0
-
-
-def test_an_unobserved_direction_loses_information_and_gradient() -> None:
-    A = np.diag([100.0, 80.0, 0.01, 300.0, 200.0, 250.0])
-    kept_A, kept_b, found = keep_observed(A, np.ones(6), 100.0, 250.0, 0.004)
-    assert found.degenerate == 1
-    np.testing.assert_allclose(kept_A, np.diag([100.0, 80.0, 0.0, 300.0, 200.0, 250.0]), atol=1e-9)
-    np.testing.assert_allclose(kept_b, [1.0, 1.0, 0.0, 1.0, 1.0, 1.0], atol=1e-12)
 
 
 def _scan(points: FloatArray, tags: list[int]) -> LidarScan:
