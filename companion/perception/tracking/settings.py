@@ -105,7 +105,7 @@ class TrackingSettings(Settings):
 
     point_sigma_m: float = Field(default=0.056, gt=0.0, le=1.0)
     """How far points on a body scatter about where its model has their mean, on each axis."""
-    shape_sigma_m: float = Field(default=0.022, ge=0.0, le=0.5)
+    shape_sigma_m: float = Field(default=0.016, ge=0.0, le=0.5)
     """How far that mean may be off, whatever the number of points, along the beam and upwards; half as
     much across."""
     ego_position_sigma_m: float = Field(default=0.005, ge=0.0, le=0.5)
@@ -115,9 +115,9 @@ class TrackingSettings(Settings):
     """The same for the own attitude."""
     degraded_factor: float = Field(default=4.0, ge=1.0, le=100.0)
     """Multiplies both while the odometry is degraded."""
-    acceleration_sigma: float = Field(default=1.5, ge=0.0, le=50.0)
+    acceleration_sigma: float = Field(default=0.9, ge=0.0, le=50.0)
     """Standard deviation of each axis of a neighbour's acceleration, m/s^2..."""
-    acceleration_fading_s: float = Field(default=0.8, ge=0.0, le=20.0)
+    acceleration_fading_s: float = Field(default=1.0, ge=0.0, le=20.0)
     """...and for how long it lasts; 0 for plain constant velocity with white acceleration."""
     acceleration_density: float = Field(default=0.02, gt=0.0, le=100.0)
     """Density of its white acceleration (gusts), m^2/s^3."""
@@ -126,6 +126,8 @@ class TrackingSettings(Settings):
 
     bright_share: float = Field(default=0.05, ge=0.0, le=1.0)
     """rho_high: share of bright points above which an observation counts as a UAV's."""
+    max_bright_share: float = Field(default=0.85, ge=0.0, le=1.0)
+    """A UAV also shows parts without tape; what shows none, by more than a few points, is a plate."""
     share_memory: float = Field(default=0.8, ge=0.0, lt=1.0)
     """How much of the past is kept, scan by scan, in that share; 0: of the stack alone."""
     on_s: float = Field(default=0.01, ge=0.0, le=10.0)
@@ -162,8 +164,7 @@ class TrackingSettings(Settings):
         """Return the published method: its table, and nothing that it does not describe."""
         return cls(
             max_range_m=10.0, roi_sigmas=0.0, epsilon_spacings=0.0, core_points=1, sparse_updates=False,
-            size_gate=False,
-            body_centre=False, association=Association.GREEDY, last_seen_s=0.0, share_memory=0.0,
-            off_s=0.0, min_on_updates=1, proof_of_flight=False,
+            size_gate=False, body_centre=False, association=Association.GREEDY, last_seen_s=0.0,
+            max_bright_share=1.0, share_memory=0.0, off_s=0.0, min_on_updates=1, proof_of_flight=False,
             acceleration_fading_s=0.0, acceleration_density=1.0,
         )  # fmt: skip

@@ -22,8 +22,12 @@ from companion.perception.tracking.settings import Tape, TrackingSettings
 _MOST_EVIDENCE = 4.0  # what is proven can still be disproven
 _MOTION = 2.0  # what moved may pass by solid things for a while
 _DOUBT = 0.25  # what seems attached by more than this cannot prove itself by moving
-_MOST_AGAINST = 3.0  # attached points of one scan that count
-_CLUTTER = 0.05  # points a scan that seem attached to what floats, and the same for each point on the body
+# Of one scan:
+_MOST_AGAINST = 3.0  # attached points that count
+_MOST_WEIGHT = 2.0  # of each of them
+_LEAST_EXPECTED, _MOST_EXPECTED = 0.5, 1.5  # points at a foot
+_CLUTTER = 0.02  # points that seem attached to what floats, and the same for each point on the body
+_ENOUGH_POINTS = 5.0
 _RETURNS = 0.7  # share of the beams at a foot that return
 _FOOT_STEPS = 8
 _FIELD_MARGIN_RAD = 0.01
@@ -93,7 +97,8 @@ class Proof:
         """Take the surroundings of one scan.
 
         With a foot, points about it are Poisson distributed with the expected number plus clutter;
-        without one, clutter is all there is; `free` adds up the logarithm of that ratio.
+        without one, clutter is all there is; `free` adds up the logarithm of that ratio, within limits
+        for each scan, since neither number is more than a model.
 
         Args:
             counts: (SURROUNDINGS_WIDTH,) see `region_kernels.survey`.
@@ -101,7 +106,9 @@ class Proof:
         """
         around = float(counts[region_kernels.BELOW :].sum())
         clutter = _CLUTTER * (1.0 + float(counts[region_kernels.BODY]))
-        against = min(around, _MOST_AGAINST) * min(math.log1p(max(expected, 0.5) / clutter), 2.0)
+        weight = min(math.log1p(max(expected, _LEAST_EXPECTED) / clutter), _MOST_WEIGHT)
+        expected = min(expected, _MOST_EXPECTED)
+        against = min(around, _MOST_AGAINST) * weight
         threshold = self._settings.free_evidence
         self.free = self.free + expected - against
         self.free = min(max(self.free, -_MOST_EVIDENCE * threshold), _MOST_EVIDENCE * threshold)
@@ -127,12 +134,17 @@ class Proof:
             fixed = settings.proof_of_flight and self._evidence <= -settings.free_evidence
             self.validated = self._off <= self._most_off and not fixed
         elif taped and self._on >= self._wanted_on:
-            self.validated = self._flies
+            self.validated = self._flies and not self._is_all_tape
 
     @property
     def _evidence(self) -> float:
         """Return the evidence of free space and of motion together."""
         return self.free + (_MOTION * self._settings.free_evidence if self.moved else 0.0)
+
+    @property
+    def _is_all_tape(self) -> bool:
+        settings = self._settings
+        return self._points >= _ENOUGH_POINTS and self.bright_share > settings.max_bright_share
 
     @property
     def _flies(self) -> bool:
