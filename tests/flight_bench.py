@@ -232,6 +232,15 @@ class Bench:
             assert real.now_ns() < end_ns, f"waited in vain; {self.story[-5:]}"
             await real.sleep(MS)
 
+    async def until_more(self, items: Sequence[object], than: int) -> None:
+        """Let everything else go on until there are more than so many items."""
+        await self.until(lambda: len(items) > than)
+
+    async def pass_time(self, messages: int) -> None:
+        """Let everything else go on until so many more messages have been logged."""
+        enough = self.log.status().written + messages
+        await self.until(lambda: self.log.status().written >= enough)
+
     def recorded(self, *wanted: channels.Channel) -> list[object]:
         self.log.close()
         return [entry.message for entry in FlightRecording(self.log.path).messages(*wanted)]
