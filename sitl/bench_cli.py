@@ -161,6 +161,74 @@ def consistency(
     conclude(body, json_output)
 
 
+@app.command(epilog="Example: sitl bench tracking --scenes weave,crowd --seeds 3 --seconds 60")
+def tracking(
+    scenes: Annotated[
+        str, typer.Option(help="Scenes, separated by commas: ring, hover, crowd, weave, aggressive.")
+    ] = "all",
+    seeds: Annotated[int, typer.Option(min=1, max=1000, help="Flights of each case.")] = 1,
+    first_seed: Annotated[int, typer.Option(min=0, help="Of world, flight and noise.")] = 1001,
+    seconds: Annotated[float, typer.Option(min=8.0, max=3600.0, help="Duration of a flight.")] = 30.0,
+    tape: Annotated[
+        bool | None, typer.Option("--tape/--no-tape", help="Only cases with, or without.")
+    ] = None,
+    distractors: Annotated[
+        bool | None, typer.Option("--distractors/--no-distractors", help="Only cases with, or without.")
+    ] = None,
+    literal: Annotated[bool, typer.Option("--literal", help="The published method as it stands.")] = False,
+    out: Annotated[Path, typer.Option(help="Folder for tracking.json, .md and .html.")] = Path("runs/bench"),
+    json_output: AsJson = False,
+) -> None:
+    """How well neighbours are seen, with our own odometry in the loop: by range, number, tape, distractors.
+
+    Detection rate: of the scans in which a neighbour could be seen, those with a validated track within
+    0.5 m. Precision: of the validated tracks, those within 0.5 m of a neighbour. Latency is processor time.
+    """
+    from sitl.bench.swarm_scenes import SCENES
+    from sitl.bench.tracking import CASES
+
+    wanted = _names(scenes, tuple(SCENES), "scene")
+    cases = [
+        case
+        for case in CASES
+        if case.scene in wanted and tape in (None, case.tape) and distractors in (None, case.distractors)
+    ]
+    if not cases:
+        raise typer.BadParameter("no case is left")
+
+    def body() -> tuple[Result, ExitCode]:
+        from companion.kernel_cache import load_kernels
+        from companion.perception.tracking.settings import TrackingSettings
+        from sitl.bench.tracking import measure
+        from sitl.bench.tracking_page import shown, write
+        from sitl.bench.tracking_score import Row
+
+        out.mkdir(parents=True, exist_ok=True)
+        load_kernels()
+        table, progress = _Table(), _Progress()
+        done: list[Row] = []
+
+        def show(rows: list[Row]) -> None:
+            progress.clear()
+            done.extend(rows)
+            if not json_output:
+                for row in rows:
+                    table.show({name: cell.rjust(7) for name, cell in shown(row).items()})
+
+        settings = TrackingSettings.literal() if literal else None
+        numbers = range(first_seed, first_seed + seeds)
+        try:
+            measure(cases, numbers, seconds, show, progress.show, settings)
+        finally:
+            progress.clear()
+            files = [str(file) for file in write(out, done)] if done else []
+        if not json_output:
+            print("written: " + ", ".join(files))
+        return {"rows": [row.as_dict() for row in done], "files": files}, ExitCode.OK
+
+    conclude(body, json_output)
+
+
 @app.command(epilog="Example: sitl bench flights --seeds 20")
 def flights(
     scenario: Annotated[Path, typer.Argument(help="YAML scenario.")] = _DEMO,

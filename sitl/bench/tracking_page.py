@@ -1,0 +1,214 @@
+"""The tracking figures as one HTML file that opens without a network, as JSON and as a Markdown table."""
+
+import html
+import json
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from string import Template
+from typing import Any
+
+from companion.logs import report_style as style
+from sitl.bench.tracking_score import Row
+
+RESULTS = "tracking.json"
+TABLE = "tracking.md"
+PAGE = "tracking.html"
+
+_COLOURS = (style.ESTIMATE, style.COMMAND, style.GREEN, *style.AXES, style.AUTOPILOT)
+
+_PAGE = Template("""<!doctype html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<meta http-equiv="Content-Security-Policy"
+ content="default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:">
+<title>Neighbours as seen</title>
+<style>
+* { box-sizing: border-box; }
+body { margin: 0; background: #f5f7fa; color: #1e293b;
+  font: 15px/1.45 system-ui, -apple-system, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif; }
+main { max-width: 1180px; margin: 0 auto; padding: 22px 16px 60px; }
+h1 { font-size: 22px; margin: 0 0 12px; } h2 { font-size: 14px; margin: 0 0 4px; }
+.card { background: #fff; border: 1px solid #e5e9f0; border-radius: 10px; padding: 14px 16px;
+  margin: 0 0 14px; overflow-x: auto; }
+.grid { display: grid; grid-template-columns: repeat(2, minmax(0, 1fr)); gap: 14px; }
+.grid .card { margin: 0; }
+table { border-collapse: collapse; font-variant-numeric: tabular-nums; font-size: 13px; }
+th, td { padding: 2px 10px 2px 0; text-align: right; white-space: nowrap; }
+th:first-child, td:first-child { text-align: left; }
+thead th { color: #64748b; border-bottom: 1px solid #e5e9f0; }
+tr.first td { border-top: 1px solid #e5e9f0; font-weight: 600; }
+p { color: #64748b; font-size: 13px; margin: 6px 0 0; }
+@media (max-width: 760px) { .grid { grid-template-columns: minmax(0, 1fr); } }
+</style>
+</head>
+<body>
+<main>
+<h1>Neighbours as seen</h1>
+<section class="card">$table<p>$definitions</p></section>
+<section class="grid">$plots</section>
+</main>
+<script type="application/json" id="rows">$rows</script>
+<script>$plotly</script>
+<script>
+"use strict";
+for (const [name, figure] of Object.entries($figures)) {
+  Plotly.newPlot(document.getElementById("plot-" + name), figure.data, figure.layout,
+    { responsive: true, displaylogo: false, displayModeBar: false });
+}
+</script>
+</body>
+</html>
+""")
+
+DEFINITIONS = (
+    "Our odometry is in the loop. Detection rate: of the scans in which a neighbour could be seen (in the "
+    "field of view, two or more of five test rays clear, without a break for 0.5 s, own vehicle flying), the "
+    "share with a validated track within 0.5 m. Precision: of the validated tracks seen within the last "
+    "0.5 s, the share within 0.5 m of a neighbour. Errors are relative to the own pose, over all three axes; "
+    "steady: where the neighbour changed its velocity by less than 0.7 m/s^2. NEES: squared error by "
+    "covariance and degree of freedom, 1 if the covariance is true. Acquired: time from coming into sight "
+    "until validated. Latency: processor time of the tracker for one scan."
+)
+
+_PLOTS: tuple[tuple[str, str, Callable[[Row], float | None]], ...] = (
+    ("detection", "Detection rate", lambda row: row.detection_rate),
+    ("precision", "Precision", lambda row: row.precision),
+    ("position", "Position error, RMSE, m", lambda row: row.position_rmse_m),
+    ("velocity", "Velocity error, RMSE, m/s", lambda row: row.velocity_rmse_mps),
+)
+
+
+def write(folder: Path, rows: Sequence[Row]) -> list[Path]:
+    """Write rows as JSON, as a table and as a page with plots; returns the files.
+
+    The page needs plotly; without it the other two are written.
+
+    Raises:
+        OSError: if the folder cannot be written.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    files = [folder / RESULTS, folder / TABLE]
+    files[0].write_text(json.dumps({"rows": [row.as_dict() for row in rows]}, indent=1) + "\n", "utf-8")
+    files[1].write_text(markdown(rows), "utf-8")
+    try:
+        from plotly.offline import get_plotlyjs
+    except ImportError:
+        return files
+    files.append(folder / PAGE)
+    files[2].write_text(page(rows, str(get_plotlyjs())), "utf-8")
+    return files
+
+
+def shown(row: Row) -> dict[str, str]:
+    """Return a row as short text for people."""
+    switches = f"{row.id_switches_per_min:.2f}" if row.band_m == "all" else ""
+    return {
+        "case": _case(row),
+        "range m": row.band_m,
+        "steps": str(row.counted),
+        "detected %": _cell(row.detection_rate, 2, 100.0),
+        "precise %": _cell(row.precision, 2, 100.0),
+        "p cm": _cell(row.position_rmse_m, 1, 100.0),
+        "v m/s": _cell(row.velocity_rmse_mps, 2),
+        "steady v": _cell(row.velocity_rmse_steady_mps, 2),
+        "NEES p": _cell(row.position_nees, 2),
+        "NEES v": _cell(row.velocity_nees, 2),
+        "switches/min": switches,
+        "acquired s": _cell(row.acquired_s, 1) if row.band_m == "all" else "",
+        "ms": _cell(row.latency_ms, 1) if row.band_m == "all" else "",
+        "ms p99": _cell(row.latency_p99_ms, 1) if row.band_m == "all" else "",
+    }
+
+
+def markdown(rows: Sequence[Row]) -> str:
+    """Return the rows as a Markdown table."""
+    cells = [shown(row) for row in rows]
+    columns = list(cells[0]) if cells else []
+    lines = [columns, ["---" if column == "case" else "---:" for column in columns]]
+    lines += [list(cell.values()) for cell in cells]
+    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+
+
+def page(rows: Sequence[Row], plotly: str) -> str:
+    """Return the whole page.
+
+    Args:
+        rows: of one run.
+        plotly: the plotting library's script.
+    """
+    figures = {name: _figure(rows, value) for name, _, value in _PLOTS}
+    boxes = (
+        f'<figure class="card"><h2>{html.escape(title)}</h2><div id="plot-{name}"></div></figure>'
+        for name, title, _ in _PLOTS
+    )
+    return _PAGE.substitute(
+        table=_table(rows),
+        definitions=html.escape(DEFINITIONS),
+        plots="".join(boxes),
+        rows=_script_json([row.as_dict() for row in rows]),
+        figures=_script_json(figures),
+        plotly=plotly.replace("</script", "<\\/script"),
+    )
+
+
+def _case(row: Row) -> str:
+    extras = [f"{row.neighbours} neighbours"]
+    extras += ["distractors"] if row.distractors else []
+    extras += [] if row.tape else ["no tape"]
+    return f"{row.scene}, {', '.join(extras)}"
+
+
+def _cell(value: float | None, digits: int, scale: float = 1.0) -> str:
+    return "-" if value is None else f"{scale * value:.{digits}f}"
+
+
+def _table(rows: Sequence[Row]) -> str:
+    if not rows:
+        return "<p>No rows.</p>"
+    head = "".join(f"<th>{html.escape(column)}</th>" for column in shown(rows[0]))
+    body = []
+    for row in rows:
+        cells = "".join(f"<td>{html.escape(cell)}</td>" for cell in shown(row).values())
+        body.append(f'<tr class="{"first" if row.band_m == "all" else ""}">{cells}</tr>')
+    return f"<table><thead><tr>{head}</tr></thead><tbody>{''.join(body)}</tbody></table>"
+
+
+def _figure(rows: Sequence[Row], value: Callable[[Row], float | None]) -> dict[str, Any]:
+    """Return one quantity over range, one line for each case."""
+    traces = []
+    for index, case in enumerate(dict.fromkeys(_case(row) for row in rows)):
+        points = [
+            (row.range_m, value(row))
+            for row in rows
+            if _case(row) == case and row.band_m != "all" and row.range_m is not None
+        ]
+        known = [(far, figure) for far, figure in points if figure is not None]
+        traces.append(
+            {
+                "type": "scatter",
+                "mode": "lines+markers",
+                "name": case,
+                "x": [round(far, 2) for far, _ in known],
+                "y": [round(figure, 5) for _, figure in known],
+                "line": {
+                    "color": _COLOURS[index % len(_COLOURS)],
+                    "dash": "dot" if "tape" in case else "solid",
+                },
+            }
+        )
+    layout = {
+        "height": 340,
+        "margin": {"l": 56, "r": 12, "t": 8, "b": 40},
+        "xaxis": {"title": {"text": "range, m"}, "range": [0, 12.5]},
+        "showlegend": True,
+        "legend": {"font": {"size": 10}},
+    }
+    return {"data": traces, "layout": layout}
+
+
+def _script_json(value: object) -> str:
+    """Return JSON that is safe inside a script element."""
+    text = json.dumps(value, separators=(",", ":"), allow_nan=False)
+    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
