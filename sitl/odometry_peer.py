@@ -29,6 +29,8 @@ from companion.perception.odometry.lio import LidarInertialOdometry
 
 SYSTEM_ID = 1
 COMPONENT_ID = 197  # MAV_COMP_ID_VISUAL_INERTIAL_ODOMETRY
+RATE_HZ = 50.0
+"""How often it sends."""
 BOOT_LEAD_NS = seconds_to_ns(1234.5)
 """What its clock shows when it starts, so that no other clock shows the same."""
 
@@ -47,7 +49,8 @@ class OdometryPeer:
         """Start at host time `start_ns` with the mount and the LiDAR of a vehicle's profile."""
         vehicle = profile.vehicle
         self._receiver = LivoxReceiver(profile.lidar)
-        self._odometry = LidarInertialOdometry(profile.odometry, vehicle.T_body_lidar, vehicle.T_lidar_imu)
+        settings = profile.odometry.model_copy(update={"output_hz": RATE_HZ})
+        self._odometry = LidarInertialOdometry(settings, vehicle.T_body_lidar, vehicle.T_lidar_imu)
         self._encoder = MavlinkEncoder()
         self._epoch_ns = start_ns - BOOT_LEAD_NS
 
