@@ -7,6 +7,9 @@ from numpy.typing import NDArray
 
 from companion.messages import FloatArray
 
+_AXIS_COSINE = 0.94  # within 20 degrees of an axis it is called by that axis
+_LEVEL_SINE = 0.5
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Observability:
@@ -67,3 +70,27 @@ def keep_observed(
         (projection @ (gradient * scale)) * inverse,
         found,
     )
+
+
+def weak_directions(observability: Observability, R_map_imu: FloatArray) -> list[str]:
+    """Name the directions left to the IMU: "along x of the map", "about z of the map" and so on.
+
+    Args:
+        observability: what a scan observed; its rotations are about the sensor's axes.
+        R_map_imu: (3, 3) attitude, to name rotations by the map's axes too.
+    """
+    names = []
+    for direction in observability.directions[:, ~observability.kept].T:
+        along, about = direction[:3], R_map_imu @ direction[3:]
+        shift = float(np.linalg.norm(along)) >= float(np.linalg.norm(about))
+        names.append(f"{'along' if shift else 'about'} {_axis_name(along if shift else about)}")
+    return names
+
+
+def _axis_name(direction: FloatArray) -> str:
+    """Name the nearest axis of the map, or the heading of what lies between x and y."""
+    share = np.abs(direction) / max(float(np.linalg.norm(direction)), 1e-12)
+    if float(share.max()) > _AXIS_COSINE or float(share[2]) > _LEVEL_SINE:
+        return f"{'xyz'[int(np.argmax(share))]} of the map"
+    heading = np.degrees(np.arctan2(direction[1], direction[0])) % 180.0
+    return f"{heading:.0f} deg of the map"

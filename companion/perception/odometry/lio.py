@@ -4,6 +4,8 @@ Source of the method: W. Xu, Y. Cai, D. He, J. Lin, F. Zhang, "FAST-LIO2: Fast D
 Odometry", IEEE T-RO 38(4), 2022; the map is this project's own.
 """
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -24,10 +26,11 @@ from companion.messages import (
 from companion.perception.odometry import kernels
 from companion.perception.odometry.anchor import Anchor
 from companion.perception.odometry.body_motion import Mounting, body_odometry, level_rotation, no_odometry
-from companion.perception.odometry.health import Health, HealthMonitor
+from companion.perception.odometry.health import Concern, Health, HealthMonitor
 from companion.perception.odometry.initialisation import StaticInitialiser
 from companion.perception.odometry.preprocessing import MOST_POINTS, Thinning, nearest_first, usable_points
 from companion.perception.odometry.propagation import Propagation
+from companion.perception.odometry.relocalisation import Relocaliser
 from companion.perception.odometry.resting_scans import map_from_rest
 from companion.perception.odometry.sequencer import Arrival, Sequencer
 from companion.perception.odometry.settings import OdometrySettings
@@ -66,6 +69,7 @@ class LidarInertialOdometry:
         self._propagation = Propagation(settings)
         self._thinning = Thinning(settings)
         self._matcher = ScanMatcher(settings, self.fine_map, self.coarse_map)
+        self._relocaliser = Relocaliser(self._matcher)
         self._points_imu = np.zeros((MOST_POINTS, 3))
         self._scan_state: NavigationState | None = None  # at the end of the newest scan
         self._head: NavigationState | None = None  # the same, at the newest IMU sample
@@ -75,7 +79,7 @@ class LidarInertialOdometry:
         self._clock_offset_ns: int | None = None
         self._offset_by_scan = False
         self._output_period_ns = round(NANOSECONDS_PER_SECOND / settings.output_hz)
-        self._last_output = (-1, -1)  # index in the output grid, host time
+        self._last_output = (-1, -1)  # sensor time and host time
 
     @property
     def state(self) -> NavigationState | None:
@@ -89,14 +93,14 @@ class LidarInertialOdometry:
             event: IMU samples and scans in order of arrival; anything else is ignored.
 
         Returns:
-            Odometry at the output rate, propagated to the newest IMU sample; one registered scan per
-            scan as soon as IMU samples cover its end. While it is not started, odometry with status
-            INITIALISING and the reason, twice a second.
+            Odometry at the output rate, propagated to the newest IMU sample, or with each scan while the
+            IMU is silent; one registered scan per scan as soon as IMU samples cover its end. While it is
+            not started, odometry with status INITIALISING and the reason, twice a second; with LOST and the
+            reason, at the output rate, while it searches its place after an outage.
         """
         outputs: list[Odometry | RegisteredScan] = []
         if isinstance(event, LidarScan):
-            self._follow_clock(event)
-            self.sequencer.add_scan(event)
+            outputs += self._handle_scan(event)
         elif isinstance(event, ImuSample):
             outputs += self._handle_sample(event)
         while self._scan_state is not None:
@@ -122,29 +126,77 @@ class LidarInertialOdometry:
             points_imu,
         )
         chosen = self._thinning.choose(points_imu)
-        correction = self._matcher.correct(state, points_imu, chosen)
-        if correction.accepted:
-            self._inherit(correction, points_imu, chosen)
-        if correction.wide:  # the pose jumps by more than it admitted
-            self._reset_counter += 1
-        state = correction.state
-        self.last_correction = correction
-        self._health.observe(state.t_ns, correction)
-        health = self._health.judge(state)
-        if health.status is OdometryStatus.LOST:
+        correction = self._locate(state, points_imu, chosen)
+        self._scan_state = correction.state if correction is not None else state
+        self.last_correction = correction or self.last_correction
+        health = self._health.judge(self._scan_state)
+        if self._health.is_over(self._scan_state) or self._relocaliser.hopeless:
             return [self._give_up(health)]
-        if correction.accepted:
-            self._insert(points_imu, chosen, state)
-        self._scan_state = state
         outputs: list[Odometry | RegisteredScan] = []
-        if correction.accepted:
+        if correction is not None and correction.accepted:
+            if self._health.may_map(correction.state.t_ns):
+                self._insert(points_imu, chosen, correction.state)
             ages_ns = (scan.t_sensor_end_ns - scan.t_sensor_start_ns - offsets_ns).astype(np.int32)
-            outputs.append(self._registered(scan, points_imu, reflectivity, ages_ns, state, health))
-        self._head = state.copy()
+            outputs.append(
+                self._registered(scan, points_imu, reflectivity, ages_ns, correction.state, health)
+            )
+        self._head = self._scan_state.copy()
         self._propagation.advance(
-            self._head, self.sequencer.history, self.sequencer.history.last_ns, state.t_ns
+            self._head, self.sequencer.history, self.sequencer.history.last_ns, self._scan_state.t_ns
         )
         return outputs
+
+    def _locate(
+        self, predicted: NavigationState, points_imu: FloatArray, chosen: NDArray[np.int64]
+    ) -> Correction | None:
+        """Match a scan; after an outage search the place, with None while it is not found."""
+        way = self._propagation.segments[: self._propagation.count]
+        if not self._health.must_search(predicted.t_ns):
+            correction = self._matcher.correct(predicted, points_imu, chosen)
+            if correction.accepted:
+                self._inherit(correction, points_imu, chosen)
+            if self._health.observe(predicted, correction, way):
+                self._reset_counter += 1
+            return correction
+        found = self._relocaliser.consider(predicted, points_imu, chosen)
+        if found is not None:
+            self._inherit(found, points_imu, chosen)
+            self._relocaliser.forget()
+            if self._health.relocated(predicted, found):
+                self._reset_counter += 1
+        return found
+
+    def _handle_scan(self, scan: LidarScan) -> list[Odometry | RegisteredScan]:
+        """Queue a scan; if it finds the IMU silent, it tells the time instead."""
+        self._follow_clock(scan)
+        self.sequencer.add_scan(scan)
+        newest, head = self.sequencer.newest, self._head
+        if newest is None or head is None:
+            return []
+        self._health.observe_scan(scan, newest)
+        silent_ns = scan.t_ns - newest.t_ns
+        if silent_ns <= seconds_to_ns(self._settings.imu_silent_after_s):
+            return []
+        predicted = head.copy()
+        self._propagation.advance(predicted, self.sequencer.history, head.t_ns + silent_ns, head.t_ns)
+        reason = f"IMU silent for {silent_ns / NANOSECONDS_PER_SECOND:.2f} s"
+        self._health.alarm(predicted.t_ns, Concern.INERTIAL, reason)
+        if silent_ns > seconds_to_ns(self._settings.max_imu_gap_s):
+            return [self._give_up(Health(OdometryStatus.LOST, 0, reason), predicted.t_ns)]
+        return self._report(predicted, newest)
+
+    def _report(self, state: NavigationState, newest: ImuSample) -> list[Odometry | RegisteredScan]:
+        """Return odometry if it is due, or why there is none."""
+        if not self._is_due(state.t_ns, self._output_period_ns):
+            return []
+        health = self._health.judge(state)
+        if health.status is not OdometryStatus.LOST:
+            return [self._odometry(state, newest.gyro_imu - state.gyro_bias, health)]
+        if self._health.is_over(state):
+            return [self._give_up(health)]
+        if self._relocaliser.reason:
+            health = replace(health, reason=f"{health.reason}; {self._relocaliser.reason}")
+        return [no_odometry(self._host_time_ns(state.t_ns), state.t_ns, self._reset_counter, health)]
 
     def _handle_sample(self, sample: ImuSample) -> list[Odometry | RegisteredScan]:
         """Take one IMU sample: start, restart, or propagate and report."""
@@ -158,20 +210,23 @@ class LidarInertialOdometry:
         if self._scan_state is None or self._head is None:
             return self._wait_for_rest(sample)
         if arrival is Arrival.BROKEN:
+            # Nothing bounds what a vehicle may do in that time, its tilt least of all.
             return [self._give_up(Health(OdometryStatus.LOST, 0, "IMU data interrupted"))]
         if arrival is Arrival.RELABELLED:
-            shift_ns = self.sequencer.relabelled_by_ns
-            for state in (self._scan_state, self._head):
-                state.t_ns += shift_ns
-            self._health.relabel(shift_ns)
-            self._reset_counter += 1
+            self._relabel(self._scan_state, self._head)
+        self._health.observe_sample(sample)
         self._propagation.advance(self._head, self.sequencer.history, sample.t_sensor_ns, sample.t_sensor_ns)
-        health = self._health.judge(self._head)
-        if health.status is OdometryStatus.LOST:
-            return [self._give_up(health)]
-        if not self._is_due(sample, self._output_period_ns):
-            return []
-        return [self._odometry(self._head, sample.gyro_imu - self._head.gyro_bias, health)]
+        return self._report(self._head, sample)
+
+    def _relabel(self, *states: NavigationState) -> None:
+        """Follow a jump of the sensor's clock: the host's clock says how much time really passed."""
+        shift_ns = self.sequencer.relabelled_by_ns
+        for state in states:
+            state.t_ns += shift_ns
+        self._health.relabel(shift_ns)
+        reason = f"sensor clock jumped by {shift_ns / NANOSECONDS_PER_SECOND:+.3f} s"
+        self._health.alarm(states[-1].t_ns, Concern.CLOCK, reason)
+        self._reset_counter += 1
 
     def _wait_for_rest(self, sample: ImuSample) -> list[Odometry | RegisteredScan]:
         """Start if the newest window shows rest, else say now and then why not."""
@@ -180,7 +235,7 @@ class LidarInertialOdometry:
         if state is not None:
             self._refusal = reason = self._map_from_rest(state)
         if state is None or reason:
-            if not self._is_due(sample, _WAITING_PERIOD_NS):
+            if not self._is_due(sample.t_sensor_ns, _WAITING_PERIOD_NS):
                 return []
             health = Health(OdometryStatus.INITIALISING, 0, self._refusal or reason)
             t_ns = self._host_time_ns(sample.t_sensor_ns)
@@ -212,14 +267,17 @@ class LidarInertialOdometry:
         self.coarse_map.clear()
         self._initialiser.clear()
 
-    def _give_up(self, health: Health) -> Odometry:
+    def _give_up(self, health: Health, t_sensor_ns: int | None = None) -> Odometry:
         """Forget motion and map and wait for rest again."""
         self._scan_state = self._head = None
+        self._relocaliser.forget()
         self._forget()
         self._reset_counter += 1
         self._last_output = (-1, self._last_output[1])
-        t_sensor_ns = self.sequencer.history.last_ns
-        return no_odometry(self._host_time_ns(t_sensor_ns), t_sensor_ns, self._reset_counter, health)
+        if t_sensor_ns is None:
+            t_sensor_ns = self.sequencer.history.last_ns
+        t_ns = max(self._host_time_ns(t_sensor_ns), self._last_output[1])
+        return no_odometry(t_ns, t_sensor_ns, self._reset_counter, health)
 
     def _inherit(self, correction: Correction, points_imu: FloatArray, chosen: NDArray[np.int64]) -> None:
         """Let the anchor know which ground a scan was matched to."""
@@ -284,10 +342,10 @@ class LidarInertialOdometry:
     def _host_time_ns(self, t_sensor_ns: int) -> int:
         return t_sensor_ns + (self._clock_offset_ns or 0)
 
-    def _is_due(self, sample: ImuSample, period_ns: int) -> bool:
-        """Whether an output is due at this sample; outputs never go back in host time."""
-        index, t_ns = sample.t_sensor_ns // period_ns, self._host_time_ns(sample.t_sensor_ns)
-        if index <= self._last_output[0] or t_ns <= self._last_output[1]:
+    def _is_due(self, t_sensor_ns: int, period_ns: int) -> bool:
+        """Whether an output is due at a sensor time; outputs never go back in host time."""
+        before_ns, t_ns = self._last_output[0], self._host_time_ns(t_sensor_ns)
+        if t_sensor_ns // period_ns <= before_ns // period_ns or t_ns <= self._last_output[1]:
             return False
-        self._last_output = (index, t_ns)
+        self._last_output = (t_sensor_ns, t_ns)
         return True

@@ -50,6 +50,9 @@ def map_from_rest(
     for scan in scans:
         points_lidar, _, _ = usable_points(scan, settings)
         clouds.append(points_lidar @ imu_lidar[:9].reshape(3, 3).T + imu_lidar[9:])
+    points, needed = int(np.median([len(cloud) for cloud in clouds])), 4 * settings.min_effective_points
+    if points < needed:
+        return f"no map to start in: {points} points a scan while resting, {needed} needed"
     for index, points_imu in enumerate(clouds):
         if index == _REFERENCE_SCANS:
             chosen = Thinning(settings).choose(clouds[-1])

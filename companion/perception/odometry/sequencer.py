@@ -47,10 +47,16 @@ class Sequencer:
         self.history = InertialHistory()
         self.counts = SequenceCounts()
         self.relabelled_by_ns = 0
+        self.broken_for_ns = 0
         self._settings = settings
         self._longest_ns = seconds_to_ns(settings.max_imu_gap_s)
         self._scans: deque[LidarScan] = deque()
         self._last: ImuSample | None = None
+
+    @property
+    def newest(self) -> ImuSample | None:
+        """The newest accepted IMU sample."""
+        return self._last
 
     def clear(self) -> None:
         """Forget samples and scans; the counts stay."""
@@ -62,7 +68,8 @@ class Sequencer:
         """Take an IMU sample into the history.
 
         On RELABELLED all remembered times have moved by `relabelled_by_ns`, so that the sample follows
-        them by as much as the host's clock says; the caller moves its own times likewise.
+        them by as much as the host's clock says; the caller moves its own times likewise. On BROKEN
+        `broken_for_ns` is for how long the host saw no sample.
         """
         # Written so that NaN fails the comparison.
         plausible = (
@@ -92,6 +99,7 @@ class Sequencer:
             self.history.relabel(self.relabelled_by_ns)
             self._append(sample, suspect=True)
             return Arrival.RELABELLED
+        self.broken_for_ns = host_passed_ns
         self.history.clear()
         self._append(sample, suspect=False)
         return Arrival.BROKEN

@@ -114,8 +114,24 @@ class OdometrySettings(Settings):
     degraded_after_s: float = Field(default=0.25, ge=0.1, le=5.0)
     """Without an accepted scan for this long the status is DEGRADED."""
     lost_after_s: float = Field(default=4.0, ge=0.5, le=10.0)
-    """Without an accepted scan for this long the status is LOST and the odometry restarts."""
+    """Without an accepted scan for this long the status is LOST; see `search_s` for what follows."""
 
+    imu_hz: float = Field(default=200.0, ge=20.0, le=2000.0)
+    """Nominal rate of the IMU; half of it or twice as much is reported as a fault."""
+    imu_silent_after_s: float = Field(default=0.06, ge=0.01, le=1.0)
+    """Without an IMU sample for this long the status is DEGRADED: twelve samples at 200 Hz."""
+    max_angular_acceleration: float = Field(default=150.0, ge=10.0, le=5000.0)
+    """More than the vehicle can do, rad/s^2: a knock, or a mount that slips."""
+    stamp_tolerance_s: float = Field(default=0.03, ge=0.005, le=0.5)
+    """How far the stamps of scans may move against those of the IMU: 9 cm at 3 m/s."""
+    gyro_bias_limit: float = Field(default=0.06, gt=0.0, le=1.0)
+    """Estimated gyro bias, rad/s, that no healthy chip has."""
+    accel_bias_limit: float = Field(default=1.0, gt=0.0, le=10.0)
+    """Estimated accelerometer bias, m/s^2, that no healthy chip has."""
+    search_after_s: float = Field(default=1.0, ge=0.3, le=10.0)
+    """After an outage of this length the place is searched and proven before it is used again."""
+    search_s: float = Field(default=10.0, ge=0.5, le=60.0)
+    """A lost odometry keeps its map and searches its place for this long before it waits for rest."""
     residual_correlation: float = Field(default=2.2, ge=1.0, le=100.0)
     """How many times larger the variance of a matched motion is than if all residuals were independent:
     they share the map's errors, which do not average out."""

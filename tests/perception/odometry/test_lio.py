@@ -205,17 +205,22 @@ def test_an_outage_of_a_third_of_a_second_is_bridged_and_shows_in_the_quality() 
     assert all(entry.reset_counter == 0 for entry in outcome.tracked)
 
 
-def test_without_scans_the_quality_falls_until_the_odometry_is_lost(field_events: Events) -> None:
-    settings = SMALL.model_copy(update={"lost_after_s": 1.5})
+def test_without_scans_the_quality_falls_until_the_odometry_is_lost_and_then_given_up(
+    field_events: Events,
+) -> None:
+    settings = SMALL.model_copy(update={"lost_after_s": 1.5, "search_s": 0.5})
     events = [e for e in field_events if isinstance(e, ImuSample) or e.t_sensor_end_ns < 4_000_000_000]
     outcome = run(events, settings)
     statuses = [entry.status for entry in outcome.odometry if entry.t_sensor_ns > 3_900_000_000]
     assert statuses[0] is OdometryStatus.TRACKING
     assert OdometryStatus.DEGRADED in statuses
-    lost = next(entry for entry in outcome.odometry if entry.status is OdometryStatus.LOST)
-    assert lost.quality == 0
-    assert "no scan matched" in lost.reason
+    search = [entry for entry in outcome.odometry if entry.status is OdometryStatus.LOST]
+    lost = search[-1]
+    assert all(entry.quality == 0 for entry in search)
+    assert all("no scan matched" in entry.reason for entry in search)
+    assert [entry.reset_counter for entry in search[:-1]] == [0] * (len(search) - 1)
     assert lost.reset_counter == 1
+    assert (lost.t_sensor_ns - search[0].t_sensor_ns) * 1e-9 == pytest.approx(0.5, abs=0.02)
     after = [entry for entry in outcome.odometry if entry.t_sensor_ns > lost.t_sensor_ns]
     assert all(entry.status is OdometryStatus.INITIALISING for entry in after)
     assert any("not still" in entry.reason for entry in after)
@@ -233,6 +238,8 @@ def test_a_jump_of_the_sensors_clock_in_flight_is_survived_with_a_new_reset_coun
     )
     after = [entry for entry in outcome.tracked if entry.t_ns > jump_ns + CLOCK_OFFSET_NS]
     assert all(entry.reset_counter == 1 for entry in after)
+    assert after[0].status is OdometryStatus.DEGRADED
+    assert "sensor clock jumped" in after[0].reason
     assert after[-1].status is OdometryStatus.TRACKING
     unshifted = [dataclasses.replace(e, t_sensor_ns=e.t_sensor_ns - shift_ns) for e in after]
     p, _, p_true, _ = errors(field_flight, unshifted)
@@ -300,7 +307,7 @@ def test_samples_that_are_not_finite_are_dropped(room_flight: SimulatedFlight, r
     assert all(np.isfinite(entry.p_map).all() for entry in outcome.odometry)
 
 
-def test_saturated_samples_widen_the_covariance_but_do_not_break_the_flight(
+def test_saturated_samples_are_reported_but_do_not_break_the_flight(
     room_flight: SimulatedFlight, room_events: Events
 ) -> None:
     events: Events = []
@@ -310,7 +317,10 @@ def test_saturated_samples_widen_the_covariance_but_do_not_break_the_flight(
         events.append(event)
     outcome = run(events)
     p, _, p_true, _ = errors(room_flight, outcome.tracked)
-    assert outcome.tracked[-1].reset_counter == 0
+    reported = [entry for entry in outcome.tracked if entry.status is OdometryStatus.DEGRADED]
+    assert reported[0].reason == "IMU saturated"
+    assert reported[0].t_sensor_ns < 4_030_000_000
+    assert all(entry.status is not OdometryStatus.LOST for entry in outcome.tracked)
     assert float(np.linalg.norm(p[-1] - p_true[-1])) < 0.05
 
 
@@ -319,7 +329,7 @@ def test_returns_outside_the_range_limits_never_start_the_odometry() -> None:
     outcome = run(list(flight.events()), SMALL.model_copy(update={"min_range_m": 5.0, "max_range_m": 5.0}))
     assert outcome.scans == []
     assert outcome.tracked == []
-    assert outcome.odometry[-1].reason == "scans do not match: 0 of 0 points"
+    assert outcome.odometry[-1].reason == "no map to start in: 0 points a scan while resting, 200 needed"
 
 
 def test_without_scans_the_odometry_does_not_start() -> None:
