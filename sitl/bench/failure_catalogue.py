@@ -23,7 +23,7 @@ _ACCEL_FULL_SCALE = 78.5  # m/s^2, 8 g
 _GYRO_FULL_SCALE = 34.9  # rad/s, 2000 deg/s
 _SLIP_NS = 30_000_000
 _LEAST_WRONG_RATE = 0.25  # rad/s
-_GROUND_M = 0.12
+_GROUND_RANGE_M = 30.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,8 +107,8 @@ def gyro_bias_step(moment: Moment, rng: Generator) -> list[Event] | None:
 
 
 def accel_bias_step(moment: Moment, rng: Generator) -> list[Event] | None:
-    """1 to 3 m/s^2 from one sample to the next."""
-    step = rng.uniform(1.0, 3.0) * _direction(rng)
+    """1.5 to 3 m/s^2 from one sample to the next."""
+    step = rng.uniform(1.5, 3.0) * _direction(rng)
     return _samples(moment, lambda gyro, accel: (gyro, accel + step))
 
 
@@ -161,8 +161,8 @@ def garbage_points(moment: Moment, rng: Generator) -> list[Event] | None:
 
 
 def crowd_dominates(moment: Moment, rng: Generator) -> list[Event] | None:
-    """A screen 1.5 to 3 m away fills 240 to 300 degrees of the view and walks off at 1.5 to 2.5 m/s."""
-    width = np.radians(rng.uniform(240.0, 300.0))
+    """People 1.5 to 3 m away fill 330 to 360 degrees of the view and walk off at 1.5 to 2.5 m/s."""
+    width = np.radians(rng.uniform(330.0, 360.0))
     heading = rng.uniform(-np.pi, np.pi)
     radius_m, speed = rng.uniform(1.5, 3.0), rng.uniform(1.5, 2.5)
     towards = np.array([np.cos(heading), np.sin(heading), 0.0])
@@ -254,7 +254,9 @@ def kidnapped(moment: Moment, rng: Generator) -> list[Event] | None:
 def scan_stamps_shifted(moment: Moment, rng: Generator) -> list[Event] | None:
     """The stamps of the scans move by 50 to 100 ms against those of the IMU."""
     shift_ns = int(rng.choice([-1, 1])) * seconds_to_ns(float(rng.uniform(0.05, 0.1)))
-    return [_restamped(event, shift_ns, 0) if isinstance(event, LidarScan) else event for event in moment.after]
+    return [
+        _restamped(event, shift_ns, 0) if isinstance(event, LidarScan) else event for event in moment.after
+    ]
 
 
 def sensor_clock_jumps(moment: Moment, rng: Generator) -> list[Event] | None:
@@ -264,15 +266,20 @@ def sensor_clock_jumps(moment: Moment, rng: Generator) -> list[Event] | None:
 
 
 def only_ground_left(moment: Moment, rng: Generator) -> list[Event] | None:
-    """Everything but the ground vanishes: nothing tells horizontal motion any more."""
-    height_m = float(moment.flight.p_world[0, 2])
+    """Everything but a plane below vanishes: nothing tells horizontal motion and heading any more."""
+    floor_m = -float(moment.flight.p_world[0, 2])
 
     def flatten(scan: LidarScan, hit: NDArray[np.bool_]) -> LidarScan:
         times = scan.t_sensor_start_ns + scan.offsets_ns.astype(np.int64)
         p, q, _ = moment.flight.truth(times)
-        points_body = T_BODY_LIDAR.transform(scan.points_lidar.astype(np.float64))
-        z = p[:, 2] + rotation.rotate(q, points_body)[:, 2] + height_m
-        return _only(scan, ~hit | (np.abs(z) < _GROUND_M))
+        ranges = np.linalg.norm(scan.points_lidar, axis=1).astype(np.float64)
+        directions_lidar = scan.points_lidar / np.maximum(ranges, 1e-6)[:, None]
+        height_m = (p + rotation.rotate(q, T_BODY_LIDAR.p))[:, 2] - floor_m
+        down = -rotation.rotate(q, rotation.rotate(T_BODY_LIDAR.q, directions_lidar))[:, 2]
+        seen = down > height_m / _GROUND_RANGE_M
+        to_ground_m = height_m / np.maximum(down, 1e-6) + rng.normal(0.0, 0.01, len(down))
+        moved = np.where((hit & seen)[:, None], directions_lidar * to_ground_m[:, None], scan.points_lidar)
+        return _only(_with_points(scan, moved), ~hit | seen)
 
     return _scans(moment, flatten)
 
