@@ -7,6 +7,7 @@ from companion.control.hold import HoldRole
 from companion.control.leader.planner import LeaderPlanner
 from companion.perception.odometry.external import ExternalMotionEstimator
 from companion.perception.odometry.lio import LidarInertialOdometry
+from companion.perception.tracking.tracker import NeighbourTracker
 from companion.pipeline import Estimator, Pipeline, Role
 
 _PLANNER_SEED = 0
@@ -16,6 +17,7 @@ def assemble(profile: Profile) -> Pipeline:
     """Build the pipeline of one vehicle."""
     return Pipeline(
         estimator=_estimator(profile),
+        tracker=NeighbourTracker(profile.tracking, profile.vehicle.T_body_lidar),
         role=_role(profile),
         safety=profile.safety,
         authorisation_sources=profile.authorisation.sources,

@@ -19,6 +19,7 @@ from companion.geometry import rotation
 from companion.geometry.pose import Pose
 from companion.logs.writer import LogSettings
 from companion.perception.odometry.settings import OdometrySettings
+from companion.perception.tracking.settings import TrackingSettings
 from companion.safety.settings import SafetySettings
 from companion.settings import Settings
 from companion.yaml_problems import misfit
@@ -101,6 +102,9 @@ class Profile(Settings):
 
     external_odometry: ExternalOdometrySettings = ExternalOdometrySettings()
     """Where another process sends its odometry; for `odometry.source: external` only."""
+
+    tracking: TrackingSettings = TrackingSettings()
+    """How other UAVs are found and followed."""
 
     leader: LeaderSettings | None = None
     """Mission and planner; for the role `leader` only."""

@@ -20,6 +20,7 @@ from companion.messages import (
     ImuSample,
     LidarScan,
     ModeRequest,
+    NeighbourTracks,
     Odometry,
     OdometryStatus,
     Output,
@@ -64,6 +65,14 @@ class Estimator(Protocol):
         ...
 
 
+class Tracker(Protocol):
+    """Other UAVs from registered scans."""
+
+    def observe(self, scan: RegisteredScan) -> NeighbourTracks:
+        """Take one scan in; return all tracks at its end."""
+        ...
+
+
 class RoleDecision(Protocol):
     """What a role answers to `Role.decide`."""
 
@@ -86,6 +95,10 @@ class RoleDecision(Protocol):
 class Role(Protocol):
     """What the vehicle should do: leader or follower."""
 
+    def meet(self, tracks: NeighbourTracks) -> None:
+        """Learn where the others are; the scan that shows them follows."""
+        ...
+
     def observe(self, scan: RegisteredScan) -> None:
         """See the surroundings."""
         ...
@@ -106,12 +119,14 @@ class Pipeline:
         self,
         *,
         estimator: Estimator,
+        tracker: Tracker,
         role: Role,
         safety: SafetySettings,
         authorisation_sources: Sequence[str],
     ) -> None:
         """Join the parts of one vehicle; `authorisation_sources` are those the profile permits."""
         self._estimator = estimator
+        self._tracker = tracker
         self._role = role
         self._safety = safety
         self._sources = frozenset(authorisation_sources)
@@ -147,8 +162,13 @@ class Pipeline:
         return self.decide(event)
 
     def perceive(self, event: SensorEvent) -> Sequence[PerceptionUpdate]:
-        """Heavy half: estimate own motion. Never call it from two threads at once."""
-        return self._estimator.handle(event)
+        """Heavy half: estimate own motion, follow the others. Never call it from two threads at once."""
+        updates: list[PerceptionUpdate] = []
+        for update in self._estimator.handle(event):
+            if isinstance(update, RegisteredScan):
+                updates.append(self._tracker.observe(update))
+            updates.append(update)
+        return updates
 
     def decide(self, event: ControlEvent) -> list[Output]:
         """Light half: keep the newest of everything; on a tick, choose and approve a setpoint."""
@@ -157,6 +177,10 @@ class Pipeline:
                 admitted = self._odometry = self._pose_gate.admit(event, self._vehicle)
                 usable = admitted.status in (OdometryStatus.TRACKING, OdometryStatus.DEGRADED)
                 return [admitted] if usable else []
+            case NeighbourTracks():
+                if not self._pose_gate.withholds:
+                    self._role.meet(event)
+                return []
             case RegisteredScan():
                 if not self._pose_gate.withholds:
                     self._t_scan_ns = event.t_ns

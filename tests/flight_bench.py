@@ -39,6 +39,7 @@ from companion.safety.settings import SafetySettings
 from companion.service import Notifier, Service
 from companion.yaml_source import loads
 from tests.drivers.px4_peer import MS, an_odometry
+from tests.pipeline_rig import NoTracker
 from tests.profiles import GOOD
 
 SECOND_NS = 1_000_000_000
@@ -197,6 +198,7 @@ class Bench:
     def _assemble(self, profile: Profile) -> Pipeline:
         return self.pipeline_type(
             estimator=self.estimator,
+            tracker=NoTracker(),
             role=HoldRole(),
             safety=SafetySettings(),
             authorisation_sources=profile.authorisation.sources,

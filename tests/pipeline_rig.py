@@ -8,6 +8,7 @@ from companion.geometry import rotation
 from companion.messages import (
     Authorisation,
     LandedState,
+    NeighbourTracks,
     Odometry,
     OdometryStatus,
     Output,
@@ -46,6 +47,8 @@ class ForwardRole:
     resets: int = 0
     broken: bool = False
 
+    def meet(self, tracks: NeighbourTracks) -> None: ...
+
     def observe(self, scan: RegisteredScan) -> None: ...
 
     def decide(self, odometry: Odometry, t_ns: int) -> Decision:
@@ -62,6 +65,11 @@ class NoEstimator:
         return []
 
 
+class NoTracker:
+    def observe(self, scan: RegisteredScan) -> NeighbourTracks:
+        return NeighbourTracks(scan.odometry.t_ns, scan.sequence, ())
+
+
 class Rig:
     """A pipeline, the odometry and the vehicle it hears of, and the time."""
 
@@ -69,6 +77,7 @@ class Rig:
         self.role = ForwardRole()
         self.pipeline = Pipeline(
             estimator=NoEstimator(),
+            tracker=NoTracker(),
             role=self.role,
             safety=SafetySettings(),
             authorisation_sources=sources,

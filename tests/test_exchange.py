@@ -54,6 +54,7 @@ from tests.drivers.px4_peer import (
     message,
     settings,
 )
+from tests.pipeline_rig import NoTracker
 
 DATAGRAM = Datagram(T0, ("127.0.0.2", 56300), ("127.0.0.1", 56301), b"\x00" * 24)
 
@@ -86,6 +87,7 @@ class ScriptedPipeline(Pipeline):
     def __init__(self, sources: tuple[str, ...] = ("ground_station",)) -> None:
         super().__init__(
             estimator=NoEstimator(),
+            tracker=NoTracker(),
             role=HoldRole(),
             safety=SafetySettings(),
             authorisation_sources=sources,

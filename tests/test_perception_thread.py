@@ -10,6 +10,7 @@ from companion.messages import ImuSample, LidarScan, PerceptionUpdate, SensorEve
 from companion.perception_thread import PerceptionThread
 from companion.pipeline import Estimator, Pipeline
 from companion.safety.settings import SafetySettings
+from tests.pipeline_rig import NoTracker
 
 
 class GatedEstimator:
@@ -29,7 +30,11 @@ class GatedEstimator:
 
 def thread_with(estimator: Estimator, failures: list[Exception]) -> PerceptionThread:
     pipeline = Pipeline(
-        estimator=estimator, role=HoldRole(), safety=SafetySettings(), authorisation_sources=()
+        estimator=estimator,
+        tracker=NoTracker(),
+        role=HoldRole(),
+        safety=SafetySettings(),
+        authorisation_sources=(),
     )
 
     def deliver(updates: Sequence[PerceptionUpdate]) -> None:

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from companion.messages import Odometry, PlanUpdate, RegisteredScan, VelocityCommand
+from companion.messages import NeighbourTracks, Odometry, PlanUpdate, RegisteredScan, VelocityCommand
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,6 +18,9 @@ class HoldDecision:
 
 class HoldRole:
     """Brakes and stays; never finishes by itself."""
+
+    def meet(self, tracks: NeighbourTracks) -> None:
+        """Nobody near changes what a holding vehicle does."""
 
     def observe(self, scan: RegisteredScan) -> None:
         """Nothing in the surroundings changes what a holding vehicle does."""

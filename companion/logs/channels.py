@@ -20,6 +20,7 @@ from companion.messages import (
     ImuSample,
     MavlinkMessage,
     ModeRequest,
+    NeighbourTracks,
     Odometry,
     PlanUpdate,
     Setpoint,
@@ -78,6 +79,7 @@ MAVLINK_UNSENT = Channel("/mavlink/unsent", UnsentMessages, _JSON, "companion.Un
 QUEUE_PLACE = Channel("/perception/queue", QueuePlace, _JSON, "companion.QueuePlace", 0)
 ODOMETRY = Channel("/odometry", Odometry, _JSON, "companion.Odometry", 50, journal=True)
 SCAN = Channel("/scan", ScanMark, _JSON, "companion.ScanMark", 10, journal=True)
+NEIGHBOURS = Channel("/neighbours", NeighbourTracks, _JSON, "companion.NeighbourTracks", 10, journal=True)
 VEHICLE = Channel("/vehicle", VehicleState, _JSON, "companion.VehicleState", 30, journal=True)
 AUTHORISATION = Channel("/authorisation", Authorisation, _JSON, "companion.Authorisation", 0, journal=True)
 TICK = Channel("/tick", Tick, _JSON, "companion.Tick", 50, journal=True)
@@ -104,6 +106,7 @@ CHANNELS: tuple[Channel, ...] = (
     MAVLINK_UNSENT,
     QUEUE_PLACE,
     ODOMETRY,
+    NEIGHBOURS,
     SCAN,
     VEHICLE,
     AUTHORISATION,

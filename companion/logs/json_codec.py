@@ -21,6 +21,7 @@ _SHAPES: dict[str, tuple[int, ...]] = {
     "covariance_pose": (6, 6),
     "covariance_velocity": (3, 3),
     "path_map": (-1, 3),
+    "covariance": (6, 6),
 }
 _VECTOR = (3,)
 _INTEGER_LIMIT = 2**63
@@ -102,6 +103,8 @@ def _converters(name: str, kind: Any) -> tuple[_Convert, _Convert, dict[str, obj
         return (lambda value: value.tolist()), _array_from(shape), _array_schema(len(shape))
     if origin in (dict, Mapping):
         return dict, _mapping_from, {"type": "object"}
+    if origin is tuple:
+        return _converters_of_rows(typing.get_args(kind)[0])
     if isinstance(kind, types.UnionType) or not isinstance(kind, type):
         raise TypeError(f"field {name}: {kind} cannot be logged")
     if issubclass(kind, IntEnum):
@@ -114,6 +117,21 @@ def _converters(name: str, kind: Any) -> tuple[_Convert, _Convert, dict[str, obj
         return float, _float_from, {"type": ["number", "null"]}
     json_name = {bool: "boolean", int: "integer", str: "string"}[kind]
     return (int if kind is int else _unchanged), _checked(kind), {"type": json_name}
+
+
+def _converters_of_rows(kind: type) -> tuple[_Convert, _Convert, dict[str, object]]:
+    """Return (to JSON, from JSON, JSON schema) of a tuple of one dataclass."""
+    codec = JsonCodec(kind)
+
+    def rows_from(value: object) -> object:
+        if not isinstance(value, list):
+            raise ValueError(f"expected a list, found {type(value).__name__}")
+        return tuple(codec.from_plain(row) for row in value)
+
+    def rows_to(value: Any) -> object:
+        return [codec.to_plain(row) for row in value]
+
+    return rows_to, rows_from, {"type": "array", "items": codec.schema_of_fields()}
 
 
 class JsonCodec:
@@ -136,13 +154,21 @@ class JsonCodec:
 
     def schema(self, title: str) -> bytes:
         """Return the JSON schema of the message, as UTF-8 text."""
-        properties = {name: schema for name, _, _, schema in self._fields}
-        document = {"title": title, "type": "object", "properties": properties, "required": [*properties]}
+        document = {"title": title, **self.schema_of_fields()}
         return json.dumps(document, separators=(",", ":")).encode()
+
+    def schema_of_fields(self) -> dict[str, object]:
+        """Return the JSON schema without a title."""
+        properties = {name: schema for name, _, _, schema in self._fields}
+        return {"type": "object", "properties": properties, "required": [*properties]}
 
     def encode(self, message: object) -> bytes:
         """Return the message as UTF-8 JSON."""
-        return _dumps({name: to(getattr(message, name)) for name, to, _, _ in self._fields}).encode()
+        return _dumps(self.to_plain(message)).encode()
+
+    def to_plain(self, message: object) -> dict[str, object]:
+        """Return the message as values that JSON knows."""
+        return {name: to(getattr(message, name)) for name, to, _, _ in self._fields}
 
     def decode(self, data: bytes) -> object:
         """Return the message.
@@ -151,7 +177,10 @@ class JsonCodec:
             ValueError: if the bytes are not such a message.
         """
         try:
-            document = json.loads(data)
-            return self._type(**{name: back(document[name]) for name, _, back, _ in self._fields})
+            return self.from_plain(json.loads(data))
         except (KeyError, TypeError, OverflowError, RecursionError) as error:
             raise ValueError(f"not such a message: {error!r}") from error
+
+    def from_plain(self, document: Any) -> object:
+        """Return the message from values of JSON; raises what such values can raise."""
+        return self._type(**{name: back(document[name]) for name, _, back, _ in self._fields})

@@ -37,6 +37,7 @@ _SIMPLE: dict[type, Channel] = {
     for channel in (
         channels.IMU,
         channels.EXTERNAL_ODOMETRY,
+        channels.NEIGHBOURS,
         channels.VEHICLE,
         channels.AUTHORISATION,
         channels.TICK,

@@ -43,8 +43,8 @@ from companion.messages.vehicle import (
 )
 
 SensorEvent = ImuSample | LidarScan | ExternalOdometry
-PerceptionUpdate = Odometry | RegisteredScan
-ControlEvent = Odometry | RegisteredScan | VehicleState | Authorisation | Tick
+PerceptionUpdate = Odometry | RegisteredScan | NeighbourTracks
+ControlEvent = Odometry | RegisteredScan | NeighbourTracks | VehicleState | Authorisation | Tick
 Output = Setpoint | ModeRequest | Odometry | StateChange | StatusText | PlanUpdate
 
 __all__ = [

@@ -21,6 +21,7 @@ from companion.messages import (
     Datagram,
     ExternalOdometry,
     MavlinkMessage,
+    NeighbourTracks,
     Odometry,
     PerceptionUpdate,
     RegisteredScan,
@@ -41,6 +42,7 @@ SENSOR_INPUTS = (
     channels.EXTERNAL_ODOMETRY,
     channels.QUEUE_PLACE,
     channels.ODOMETRY,
+    channels.NEIGHBOURS,
     channels.SCAN,
 )
 
@@ -104,7 +106,7 @@ class FlightReplay:
         if channel in (channels.LIDAR_FRAMES, channels.IMU):
             end_ns = self._t_packets_ns - _UNWRITTEN_NS
             return Ends(end_ns, end_ns)
-        if channel in (channels.ODOMETRY, channels.SCAN, channels.CLOUD):
+        if channel in (channels.ODOMETRY, channels.NEIGHBOURS, channels.SCAN, channels.CLOUD):
             return Ends(None, self._t_update_ns - _UNHANDLED_NS)
         return Ends() if complete else Ends(self._t_tick_ns + 1, self._t_tick_ns)
 
@@ -125,6 +127,9 @@ class FlightReplay:
 
     def _take_odometry(self, message: object, t_ns: int) -> None:
         self._handle_until(("odometry", cast(Odometry, message).t_sensor_ns), t_ns)
+
+    def _take_neighbours(self, message: object, t_ns: int) -> None:
+        self._handle_until(("neighbours", cast(NeighbourTracks, message).sequence), t_ns)
 
     def _take_scan(self, message: object, t_ns: int) -> None:
         self._handle_until(("scan", cast(ScanMark, message).sequence), t_ns)
@@ -171,6 +176,7 @@ _HANDLERS: dict[str, Callable[[FlightReplay, object, int], None]] = {
     channels.EXTERNAL_ODOMETRY.topic: FlightReplay._take_external,
     channels.QUEUE_PLACE.topic: FlightReplay._take_place,
     channels.ODOMETRY.topic: FlightReplay._take_odometry,
+    channels.NEIGHBOURS.topic: FlightReplay._take_neighbours,
     channels.SCAN.topic: FlightReplay._take_scan,
     channels.MAVLINK_RX.topic: FlightReplay._take_mavlink,
     channels.AUTHORISATION.topic: FlightReplay._take_authorisation,

@@ -8,6 +8,7 @@ from companion.replay.recorder import PERCEPTION
 _SENSORS = (channels.LIDAR_PACKETS, channels.EXTERNAL_ODOMETRY, channels.QUEUE_PLACE)
 _EVENTS = (
     channels.ODOMETRY,
+    channels.NEIGHBOURS,
     channels.SCAN,
     channels.AUTHORISATION,
     channels.TICK,

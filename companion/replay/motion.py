@@ -184,7 +184,7 @@ class Paths:
         """Take a replayed estimate."""
         if isinstance(update, RegisteredScan):
             self.replayed_scans.add_odometry(update.odometry)
-        else:
+        elif isinstance(update, Odometry):
             self.replayed.add_odometry(update)
 
     def take_entry(self, entry: EncodedEntry) -> None:

@@ -16,6 +16,7 @@ from companion.messages import (
     ExternalOdometry,
     ImuSample,
     LidarScan,
+    NeighbourTracks,
     PerceptionUpdate,
     RegisteredScan,
     SensorEvent,
@@ -33,6 +34,8 @@ def key_of(update: PerceptionUpdate) -> UpdateKey:
     """Return what names an estimate in the recorded and in the replayed flight alike."""
     if isinstance(update, RegisteredScan):
         return "scan", update.sequence
+    if isinstance(update, NeighbourTracks):
+        return "neighbours", update.sequence
     return "odometry", update.t_sensor_ns
 
 

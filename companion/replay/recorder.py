@@ -14,6 +14,7 @@ from companion.messages import (
     ExternalOdometry,
     ImuSample,
     MavlinkMessage,
+    NeighbourTracks,
     Odometry,
     RegisteredScan,
 )
@@ -26,7 +27,14 @@ from companion.replay.comparison import (
     SentComparison,
 )
 
-PERCEPTION = (channels.LIDAR_FRAMES, channels.IMU, channels.ODOMETRY, channels.SCAN, channels.CLOUD)
+PERCEPTION = (
+    channels.LIDAR_FRAMES,
+    channels.IMU,
+    channels.ODOMETRY,
+    channels.NEIGHBOURS,
+    channels.SCAN,
+    channels.CLOUD,
+)
 DECISIONS = (
     channels.VEHICLE,
     channels.AUTHORISATION,
@@ -145,7 +153,7 @@ def _stamp(message: object) -> Hashable:
 
 
 def _number(message: object) -> Hashable:
-    assert isinstance(message, FrameSummary | ScanMark)
+    assert isinstance(message, FrameSummary | ScanMark | NeighbourTracks)
     return message.sequence
 
 
@@ -153,5 +161,6 @@ _NAMES: dict[str, Callable[[object], Hashable]] = {
     channels.LIDAR_FRAMES.topic: _number,
     channels.IMU.topic: _stamp,
     channels.ODOMETRY.topic: _stamp,
+    channels.NEIGHBOURS.topic: _number,
     channels.SCAN.topic: _number,
 }

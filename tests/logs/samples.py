@@ -27,6 +27,8 @@ from companion.messages import (
     LandedState,
     MavlinkMessage,
     ModeRequest,
+    NeighbourTrack,
+    NeighbourTracks,
     Odometry,
     OdometryStatus,
     PlanUpdate,
@@ -120,6 +122,24 @@ def registered_scan(t_ns: int, rng: np.random.Generator, points: int = 5000) -> 
     )
 
 
+def neighbour_tracks(t_ns: int, rng: np.random.Generator, count: int = 2) -> NeighbourTracks:
+    tracks = (
+        NeighbourTrack(
+            track_id=number,
+            p_map=rng.normal(size=3),
+            v_map=rng.normal(size=3),
+            covariance=rng.normal(size=(6, 6)),
+            t_born_ns=t_ns - 5_000_000_000,
+            t_seen_ns=t_ns - 100_000_000,
+            points=7,
+            bright_share=1 / 3,
+            validated=number % 2 == 0,
+        )
+        for number in range(count)
+    )
+    return NeighbourTracks(t_ns, 12, tuple(tracks))
+
+
 def one_of_each() -> dict[Channel, object]:
     """Return a message for every channel."""
     rng = np.random.default_rng(1)
@@ -149,6 +169,7 @@ def one_of_each() -> dict[Channel, object]:
         channels.QUEUE_PLACE: QueuePlace(t_ns, "scan", t_ns - 1, -1),
         channels.ODOMETRY: odometry(t_ns, rng),
         channels.SCAN: ScanMark(t_ns, 9, 18_000, t_ns - 1, 1.25),
+        channels.NEIGHBOURS: neighbour_tracks(t_ns, rng),
         channels.VEHICLE: vehicle_state(t_ns),
         channels.AUTHORISATION: Authorisation(t_ns, True, "ground_station"),
         channels.TICK: Tick(t_ns),

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from companion.clock import ns_to_seconds
+from companion.control.leader.companions import without_companions
 from companion.control.leader.mission import Mission, Phase
 from companion.control.leader.obstacle_map import ObstacleMap
 from companion.control.leader.potential_field import CommandFilter, PotentialField
@@ -12,6 +13,7 @@ from companion.control.leader.route import Route
 from companion.control.leader.settings import LeaderSettings
 from companion.messages import (
     FloatArray,
+    NeighbourTracks,
     Odometry,
     OdometryStatus,
     PlanUpdate,
@@ -53,6 +55,7 @@ class LeaderPlanner:
         self._field = PotentialField(settings.potential_field, settings.vehicle_radius_m)
         self._filter = CommandFilter(settings.potential_field.low_pass_s)
         self._mission = Mission(settings.mission)
+        self._companions: NeighbourTracks | None = None
         self._reset_counter: int | None = None
         self._decided_ns: int | None = None
         self._plan_key: tuple[int, str] | None = None
@@ -71,6 +74,10 @@ class LeaderPlanner:
         self._decided_ns = None
         self._plan_key = None
 
+    def meet(self, tracks: NeighbourTracks) -> None:
+        """Learn where the followers are, so that they are not taken for obstacles."""
+        self._companions = None if self._settings.avoid_followers else tracks
+
     def observe(self, scan: RegisteredScan) -> None:
         """Take in one scan; scans without a trustworthy pose are passed over."""
         if not _usable(scan.odometry):
@@ -79,6 +86,7 @@ class LeaderPlanner:
             self.reset(scan.odometry)
         elif self._reset_counter is None:
             self._reset_counter = scan.odometry.reset_counter
+        scan = without_companions(scan, self._companions, self._settings.follower_radius_m)
         z = float(scan.odometry.p_map[2])
         z_goal = self._mission.height(z)
         settings = self._settings.obstacle_map

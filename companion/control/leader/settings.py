@@ -148,6 +148,10 @@ class LeaderSettings(Settings):
 
     vehicle_radius_m: float = Field(default=0.3, gt=0.0, le=2.0)
     """Radius of the disc that covers the vehicle, propellers included."""
+    avoid_followers: bool = False
+    """Treat followers as obstacles instead of leaving it to them to keep away."""
+    follower_radius_m: float = Field(default=0.5, gt=0.0, le=2.0)
+    """Returns this near to a tracked follower belong to it."""
     mission: MissionSettings = MissionSettings()
     obstacle_map: ObstacleMapSettings = ObstacleMapSettings()
     rrt: RrtSettings = RrtSettings()
