@@ -70,10 +70,19 @@ class MotionFilter:
         F, Q = _transition(dt_s, self._acceleration_sigma, self._fading_s, white_density)
         self._filter.predict(F=F, Q=Q)
 
-    def innovation(self, z_map: FloatArray, R: FloatArray, age_s: float) -> tuple[FloatArray, FloatArray]:
-        """Return by how much a measurement differs (3,), and the covariance of that (3, 3)."""
-        H = _observation(age_s)
-        return z_map - H @ self._filter.x, H @ self._filter.P @ H.T + R
+    def fade(self, dt_s: float, fading_s: float, speed_sigma: float) -> None:
+        """Let what is known of the velocity fade for `dt_s`, towards standing still give or take a speed.
+
+        Args:
+            dt_s: seconds.
+            fading_s: time constant.
+            speed_sigma: standard deviation of each axis that it tends to, m/s.
+        """
+        left = math.exp(-dt_s / fading_s)
+        keep = np.repeat([1.0, left, left], 3)
+        self._filter.x = keep * self._filter.x
+        self._filter.P = keep[:, None] * self._filter.P * keep
+        self._filter.P[range(3, 6), range(3, 6)] += (1.0 - left**2) * speed_sigma**2
 
     def update(self, z_map: FloatArray, R: FloatArray, age_s: float) -> None:
         """Take a position measured `age_s` seconds ago.

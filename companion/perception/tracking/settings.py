@@ -92,7 +92,7 @@ class TrackingSettings(Settings):
     """A validated track and a cluster left over still match within a gate so many times as wide."""
     max_match_m: float = Field(default=0.8, gt=0.0, le=10.0)
     """Never farther from the prediction than this, however uncertain it is..."""
-    max_return_m: float = Field(default=2.0, gt=0.0, le=20.0)
+    max_return_m: float = Field(default=3.0, gt=0.0, le=20.0)
     """...or this, when a lost one is found again."""
     inactive_s: float = Field(default=0.5, gt=0.0, le=10.0)
     """t_inactive: an unobserved track is carried on as current for this long."""
@@ -119,6 +119,10 @@ class TrackingSettings(Settings):
     """Standard deviation of each axis of a neighbour's acceleration, m/s^2..."""
     acceleration_fading_s: float = Field(default=1.0, ge=0.0, le=20.0)
     """...and for how long it lasts; 0 for plain constant velocity with white acceleration."""
+    lost_fading_s: float = Field(default=1.5, gt=0.0, le=100.0)
+    """How long a lost neighbour is believed to go on as it went..."""
+    lost_speed_sigma: float = Field(default=1.0, ge=0.0, le=20.0)
+    """...before its speed may be anything of this standard deviation on each axis, m/s."""
     acceleration_density: float = Field(default=0.02, gt=0.0, le=100.0)
     """Density of its white acceleration (gusts), m^2/s^3."""
     initial_speed_sigma: float = Field(default=1.5, gt=0.0, le=20.0)
@@ -156,8 +160,10 @@ class TrackingSettings(Settings):
     """How far below and above a body solid things count as attached to it..."""
     beside_m: float = Field(default=0.25, gt=0.0, le=2.0)
     """...and how far beside it."""
-    fov_low_deg: float = Field(default=-7.0, ge=-90.0, le=0.0)
-    """Lower edge of the sensor's field of view."""
+    fov_low_deg: float = Field(default=-5.0, ge=-90.0, le=0.0)
+    """Lower edge of the sensor's field of view, as far as its beams are dense..."""
+    fov_high_deg: float = Field(default=50.0, ge=0.0, le=90.0)
+    """...and its upper edge: what reaches beyond them is seen in part."""
 
     @classmethod
     def literal(cls) -> "TrackingSettings":

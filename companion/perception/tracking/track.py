@@ -13,12 +13,14 @@ from companion.perception.tracking.settings import TrackingSettings
 from companion.perception.tracking.validation import Proof
 
 _LEAST_HIDDEN = 0.3
+_EXPECTED_SQUARE = 9.0  # squared Mahalanobis distance within which a return surprises nobody
+_EXPECTED_M = 0.6  # and distance, by the largest one
 
 
 def measurement(
     cluster: Cluster,
     sensor_map: FloatArray,
-    shaded: float,
+    hidden: bool,
     jitter: tuple[float, float],
     settings: TrackingSettings,
 ) -> tuple[FloatArray, FloatArray]:
@@ -27,7 +29,7 @@ def measurement(
     Args:
         cluster: with points of the newest scan.
         sensor_map: (3,) m.
-        shaded: number of points that stand before it or its edges.
+        hidden: something may hide a part of it.
         jitter: standard deviations of the own position, m, and attitude, rad, from scan to scan.
         settings: the body's model and the sensor's noise.
     """
@@ -35,10 +37,10 @@ def measurement(
     range_m = max(float(np.linalg.norm(away)), 1e-3)
     offset = visible_surface(away, settings.body_radius_m, settings.body_height_m)
     variance = settings.point_sigma_m**2 / max(cluster.fresh, 1) + settings.shape_sigma_m**2
-    if shaded > 0.0:
-        # Something hides a part of it, and the middle of the rest is not the body's.
-        hidden = max(_LEAST_HIDDEN, 1.0 - cluster.fresh / whole_body_points(range_m, settings))
-        variance += (hidden * settings.body_radius_m) ** 2
+    if hidden:
+        # The middle of the rest is not the body's.
+        share = max(_LEAST_HIDDEN, 1.0 - cluster.fresh / whole_body_points(range_m, settings))
+        variance += (share * settings.body_radius_m) ** 2
     R = variance * np.eye(3)
     across = np.array([-away[1], away[0], 0.0])
     length = float(np.linalg.norm(across))
@@ -107,9 +109,12 @@ class Track:
         """Return for how long it has not been observed."""
         return (t_ns - self.t_seen_ns) / NANOSECONDS_PER_SECOND
 
-    def predict(self, dt_s: float) -> None:
-        """Carry it on."""
-        self.motion.predict(dt_s, self._settings.acceleration_density)
+    def predict(self, dt_s: float, *, lost: bool) -> None:
+        """Carry it on; nobody knows for long where one goes that was lost."""
+        settings = self._settings
+        self.motion.predict(dt_s, settings.acceleration_density)
+        if lost:
+            self.motion.fade(dt_s, settings.lost_fading_s, settings.lost_speed_sigma)
 
     def observe(self, t_ns: int, cluster: Cluster, z_map: FloatArray, R: FloatArray) -> None:
         """Take a measurement.
@@ -135,7 +140,12 @@ class Track:
             z_map: (3,) see `measurement`.
             R: (3, 3) see `measurement`.
         """
-        expected = float(np.linalg.norm(z_map - self.motion.p_map)) <= self._settings.max_match_m
+        y = z_map - self.motion.p_map
+        S = self.motion.covariance[:3, :3] + R
+        expected = (
+            float(y @ np.linalg.solve(S, y)) <= _EXPECTED_SQUARE
+            and float(np.linalg.norm(y)) <= _EXPECTED_M * self._settings.max_return_m
+        )
         before = self.proof
         self._begin(t_ns, cluster, z_map, R)
         if expected:

@@ -15,6 +15,7 @@ from companion.geometry.pose import Pose
 from companion.messages import FloatArray, NeighbourTracks, Odometry, OdometryStatus, RegisteredScan
 from companion.perception.tracking import region_kernels
 from companion.perception.tracking.association import gated_costs, global_pairs, greedy_pairs
+from companion.perception.tracking.body import whole_body_points
 from companion.perception.tracking.clustering import (
     Cluster,
     describe,
@@ -87,7 +88,7 @@ class NeighbourTracker:
             self._forget()
         self._t_ns = t_ns
         for track in self._tracks:
-            track.predict(dt_s)
+            track.predict(dt_s, lost=not self._is_current(track))
 
     def _look(self, scan: RegisteredScan) -> None:
         """The whole method: filter, cluster, associate, update, validate, begin."""
@@ -101,8 +102,9 @@ class NeighbourTracker:
         trusted = np.array([track.proof.validated for track in current], np.bool_)
         trim(labels, points, trusted, self._settings)
         clusters = [cluster for cluster in describe(labels, points, sensor) if self._is_plausible(cluster)]
-        measured = self._measured(clusters, stack, odometry, sensor)
-        solid = self._solid(clusters, measured, stack, current, sensor)
+        shaded = self._shaded(clusters, stack, sensor)
+        measured = self._measured(clusters, shaded, odometry, sensor)
+        solid = self._solid(clusters, measured, shaded, stack, current, sensor)
         matches = self._matches(current, clusters, measured, solid)
         for track, j in matches:
             track.observe(t_ns, clusters[j], *measured[j])
@@ -196,26 +198,30 @@ class NeighbourTracker:
             costs[banned] = np.inf
         return global_pairs(costs)
 
+    def _shaded(
+        self, clusters: list[Cluster], stack: StackedPoints, sensor_map: FloatArray
+    ) -> NDArray[np.bool_]:
+        """Return of which clusters something nearer may hide a part."""
+        return np.asarray(self._search.shaded(stack, _centres(clusters), sensor_map) > 0.0)
+
     def _measured(
-        self, clusters: list[Cluster], stack: StackedPoints, odometry: Odometry, sensor_map: FloatArray
+        self, clusters: list[Cluster], shaded: NDArray[np.bool_], odometry: Odometry, sensor_map: FloatArray
     ) -> list[Measured]:
         settings = self._settings
         factor = settings.degraded_factor if odometry.status is OdometryStatus.DEGRADED else 1.0
-        jitter = (
-            factor * settings.ego_position_sigma_m,
-            factor * math.radians(settings.ego_rotation_sigma_deg),
-        )
-        centres = np.array([cluster.centre_map for cluster in clusters]).reshape(-1, 3)
-        shaded = self._search.shaded(stack, centres, sensor_map)
+        turn = math.radians(settings.ego_rotation_sigma_deg)
+        jitter = factor * settings.ego_position_sigma_m, factor * turn
+        hidden = shaded | self._surroundings.cut_off(_centres(clusters), sensor_map, odometry.q_map_body)
         return [
-            measurement(cluster, sensor_map, float(count), jitter, settings)
-            for cluster, count in zip(clusters, shaded, strict=True)
+            measurement(cluster, sensor_map, bool(part), jitter, settings)
+            for cluster, part in zip(clusters, hidden, strict=True)
         ]
 
     def _solid(
         self,
         clusters: list[Cluster],
         measured: list[Measured],
+        shaded: NDArray[np.bool_],
         stack: StackedPoints,
         current: list[Track],
         sensor_map: FloatArray,
@@ -235,6 +241,11 @@ class NeighbourTracker:
             counts = self._search.survey(stack, bodies, nearest.tolist(), current, sensor_map)
             around = counts[:, region_kernels.BELOW :].sum(axis=1)
             solid[dim] = around > 1.0 + _SOLID_SHARE * counts[:, region_kernels.BODY]
+            # Little of a body behind an edge cannot be told from points that straddle that edge.
+            little = [
+                clusters[j].fresh < 0.5 * whole_body_points(clusters[j].range_m, self._settings) for j in dim
+            ]
+            solid[dim] |= shaded[dim] & little
         return solid
 
     def _judge(
@@ -272,6 +283,10 @@ class NeighbourTracker:
             if self._is_current(track)
             or (self._t_ns is not None and track.proof.validated and track.unseen_s(self._t_ns) <= longest)
         ]
+
+
+def _centres(clusters: list[Cluster]) -> FloatArray:
+    return np.array([cluster.centre_map for cluster in clusters]).reshape(-1, 3)
 
 
 def _is_finite(odometry: Odometry) -> bool:

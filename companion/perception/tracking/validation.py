@@ -9,6 +9,7 @@ that hides behind something nearer) cannot be told from a UAV that hovers.
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from companion.clock import seconds_to_ns
 from companion.geometry import rotation
@@ -30,11 +31,10 @@ _CLUTTER = 0.02  # points that seem attached to what floats, and the same for ea
 _ENOUGH_POINTS = 5.0
 _RETURNS = 0.7  # share of the beams at a foot that return
 _FOOT_STEPS = 8
-_FIELD_MARGIN_RAD = 0.01
 
 
 class Surroundings:
-    """What is visible under bodies, and what was found there."""
+    """What of bodies, and of the space under them, lies in the field of view."""
 
     def __init__(self, settings: TrackingSettings, q_body_lidar: FloatArray) -> None:
         """Prepare for a sensor mounted with attitude `q_body_lidar` (4,)."""
@@ -52,17 +52,30 @@ class Surroundings:
             q_map_body: (4,) own attitude.
         """
         settings = self._settings
-        depth = (
-            outline_m(settings)[1] + settings.surroundings_m * (np.arange(_FOOT_STEPS) + 0.5) / _FOOT_STEPS
-        )
-        feet = centres_map[:, None, :] - sensor_map - depth[None, :, None] * np.array([0.0, 0.0, 1.0])
-        q_lidar_map = rotation.conjugate(rotation.multiply(q_map_body, self._q_body_lidar))
-        feet_lidar = rotation.rotate(q_lidar_map, feet)
-        elevation = np.arctan2(feet_lidar[..., 2], np.hypot(feet_lidar[..., 0], feet_lidar[..., 1]))
-        visible = np.mean(elevation >= math.radians(settings.fov_low_deg) + _FIELD_MARGIN_RAD, axis=1)
+        shares = (np.arange(_FOOT_STEPS) + 0.5) / _FOOT_STEPS
+        depth = outline_m(settings)[1] + settings.surroundings_m * shares
+        feet = centres_map[:, None, :] - depth[None, :, None] * np.array([0.0, 0.0, 1.0])
+        elevations = self._elevations(feet - sensor_map, q_map_body)
+        visible = np.mean(elevations >= math.radians(settings.fov_low_deg), axis=1)
         square = np.maximum(np.einsum("ki,ki->k", centres_map - sensor_map, centres_map - sensor_map), 0.01)
         area = settings.foot_width_m * settings.surroundings_m * visible
         return np.asarray(_RETURNS * settings.points_per_steradian * area / square)
+
+    def cut_off(
+        self, centres_map: FloatArray, sensor_map: FloatArray, q_map_body: FloatArray
+    ) -> NDArray[np.bool_]:
+        """Return which bodies (k,) reach beyond the field of view; arguments as above."""
+        away = centres_map - sensor_map
+        half = outline_m(self._settings)[1] / np.maximum(np.linalg.norm(away, axis=1), 0.1)
+        elevations = self._elevations(away, q_map_body)
+        low, high = math.radians(self._settings.fov_low_deg), math.radians(self._settings.fov_high_deg)
+        return np.asarray((elevations - half < low) | (elevations + half > high))
+
+    def _elevations(self, away_map: FloatArray, q_map_body: FloatArray) -> FloatArray:
+        """Return the elevations (...) of directions (..., 3) in the sensor's frame."""
+        q_lidar_map = rotation.conjugate(rotation.multiply(q_map_body, self._q_body_lidar))
+        away = rotation.rotate(q_lidar_map, away_map)
+        return np.asarray(np.arctan2(away[..., 2], np.hypot(away[..., 0], away[..., 1])))
 
 
 class Proof:
