@@ -127,6 +127,7 @@ class TestSameBytes:
         assert {found.topic for found in result.channels} == {
             "/lidar/frames",
             "/odometry",
+            "/neighbours",
             "/scan",
             "/cloud",
         }
