@@ -24,7 +24,7 @@ from companion.perception.odometry.inertial_monitor import InertialMonitor
 from companion.perception.odometry.innovation_monitor import InnovationMonitor, is_jump
 from companion.perception.odometry.scan_monitor import ScanMonitor
 from companion.perception.odometry.settings import OdometrySettings
-from companion.perception.odometry.state import NavigationState, P
+from companion.perception.odometry.state import NavigationState
 from companion.perception.odometry.update import Correction
 
 _GOOD_MATCHED_SHARE = 0.4
@@ -80,6 +80,8 @@ class HealthMonitor:
     def __init__(self, settings: OdometrySettings, t_ns: int) -> None:
         """Start healthy at a sensor time."""
         self._settings = settings
+        self._degraded_after_s, self._lost_after_s = settings.degraded_after_s, settings.lost_after_s
+        self._fading_per_s = 1.0 / max(1e-3, self._lost_after_s - self._degraded_after_s)
         self._corrected_ns = t_ns
         self._score = 1.0
         self._reason = ""
@@ -193,21 +195,20 @@ class HealthMonitor:
 
     def judge(self, state: NavigationState) -> Health:
         """Return the verdict on a state propagated to its own time."""
-        if not state.is_finite():
+        # Many times a second, so cheaply: whatever else becomes infinite is seen at the next scan.
+        if not math.isfinite(float(state.vector @ state.vector)):
             return Health(OdometryStatus.LOST, 0, "state is not finite")
         age_s = (state.t_ns - self._corrected_ns) * 1e-9
-        if age_s > self._settings.lost_after_s:
+        if age_s > self._lost_after_s:
             return Health(OdometryStatus.LOST, 0, f"no scan matched for {age_s:.1f} s")
         sigma_m = _sigma_m(state)
         if sigma_m > _LOST_SIGMA_M:
             return Health(OdometryStatus.LOST, 0, f"position uncertain by {sigma_m:.1f} m")
-        late = (age_s - self._settings.degraded_after_s) / (
-            self._settings.lost_after_s - self._settings.degraded_after_s
-        )
-        fresh = 1.0 - min(1.0, max(0.0, late))
-        certain = 1.0 / (1.0 + (sigma_m / _TOLERATED_SIGMA_M) ** 2)
+        late = max(0.0, age_s - self._degraded_after_s) * self._fading_per_s
+        quality = 100.0 * self._score * (1.0 - min(1.0, late)) / (1.0 + (sigma_m / _TOLERATED_SIGMA_M) ** 2)
         standing = [alarm for alarm in self._alarms.values() if alarm.until_ns >= state.t_ns]
-        quality = 100.0 * self._score * fresh * certain * (_ALARMED if standing else 1.0)
+        if standing:
+            quality *= _ALARMED
         if standing:
             reason = min(standing, key=lambda alarm: alarm.since_ns).reason
         elif late > 0.0:
@@ -243,4 +244,5 @@ class HealthMonitor:
 
 def _sigma_m(state: NavigationState) -> float:
     """Return how uncertain the position is: the trace bounds the largest eigenvalue from above."""
-    return math.sqrt(max(0.0, float(state.covariance[P, P].trace())))
+    p = state.covariance
+    return math.sqrt(max(0.0, p.item(0, 0) + p.item(1, 1) + p.item(2, 2)))

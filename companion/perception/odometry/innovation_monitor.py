@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from companion.geometry import rotation
 from companion.messages import FloatArray
+from companion.perception.odometry.innovation_monitor_kernels import RESULT_SIZE, innovate
 from companion.perception.odometry.state import NavigationState
 
 WINDOW = 3
@@ -15,12 +15,6 @@ WINDOWED_LIMIT = 4.0
 
 _JUMP_M = 0.1
 _JUMP = 0.05  # rad; 3 degrees
-_POSITION_FLOOR_M = 0.002  # what a map of noisy points is off by, beyond what the filter knows
-_ROTATION_FLOOR = 3.5e-4  # rad; 0.02 degrees
-_SCALE_ERROR = 0.005  # of a chip's axes
-_COHERENT = 0.2  # of shaking that adds up over a scan instead of averaging out
-_HARD_SHAKING = 1.0  # m/s^2; beyond it rotor tones that fold to low frequencies dominate
-_MISSING_AFTER = 1.5  # of the usual interval
 
 
 class InnovationMonitor:
@@ -43,6 +37,7 @@ class InnovationMonitor:
         `jumped`, whether the pose moved farther than prediction and noise explain.
         """
         self._recent = np.zeros((WINDOW, 6))
+        self._result = np.zeros(RESULT_SIZE)
         self.newest = 0.0
         self.windowed = 0.0
         self.jumped = False
@@ -61,48 +56,28 @@ class InnovationMonitor:
             corrected: the same after it.
             way: (n, 22) of the propagation since the scan before, as `kernels.propagate` leaves it.
         """
-        moved = corrected.p_map - predicted.p_map
-        turned = rotation.log(rotation.from_matrix(predicted.R_map_imu.T @ corrected.R_map_imu))
-        position_m, angle = unmodelled(way)
-        S = predicted.covariance[:6, :6] + np.diag([position_m**2] * 3 + [angle**2] * 3)
-        whitened = np.linalg.solve(np.linalg.cholesky(S), np.concatenate([moved, turned]))
+        result = self._result
+        innovate(predicted.vector, corrected.vector, predicted.covariance, way, result)
         self._recent[:-1] = self._recent[1:]
-        self._recent[-1] = whitened
+        self._recent[-1] = result[:6]
         total = self._recent.sum(axis=0) / np.sqrt(WINDOW)
-        self.newest, self.windowed = float(np.linalg.norm(whitened)), float(np.linalg.norm(total))
-        self.jumped = self.newest > LIMIT and is_jump(predicted, corrected)
+        self.newest, self.windowed = float(np.linalg.norm(result[:6])), float(np.linalg.norm(total))
+        moved_m, turned = float(result[6]), float(result[7])
+        self.jumped = self.newest > LIMIT and _is_far(moved_m, turned)
         if self.newest <= LIMIT and self.windowed <= WINDOWED_LIMIT:
             return ""
-        worst = whitened if self.newest > LIMIT else total
+        worst = result[:6] if self.newest > LIMIT else total
         if np.linalg.norm(worst[:3]) >= np.linalg.norm(worst[3:]):
-            return f"scan contradicts the IMU: position by {100.0 * np.linalg.norm(moved):.0f} cm"
-        return f"scan contradicts the IMU: rotation by {np.degrees(np.linalg.norm(turned)):.1f} deg"
-
-
-def unmodelled(way: FloatArray) -> tuple[float, float]:
-    """Return how far position (m) and rotation (rad) may be off after a way beyond the filter's covariance.
-
-    Args:
-        way: (n, 22) as `kernels.propagate` leaves it: time in column 0, acceleration in the map in columns
-            16-18, rate in 19-21.
-    """
-    if len(way) < 3:
-        return _POSITION_FLOOR_M, _ROTATION_FLOOR
-    intervals_s = np.diff(way[:, 0])
-    passed_s = float(intervals_s.sum())
-    missing = float(intervals_s[intervals_s > _MISSING_AFTER * np.median(intervals_s)].sum()) / passed_s
-    steps = np.diff(way[:-1, 16:22], axis=0)
-    shaking = np.sqrt(0.5 * np.einsum("ij,ij->j", steps, steps) / len(steps))
-    acceleration, rate = float(shaking[:3].max()), float(shaking[3:].max())
-    adding_up = (_COHERENT + missing) * acceleration + max(0.0, acceleration - _HARD_SHAKING)
-    turn = float(np.linalg.norm(way[:-1, 19:22].mean(axis=0))) * passed_s
-    return (
-        _POSITION_FLOOR_M + adding_up * passed_s**2,
-        _ROTATION_FLOOR + _COHERENT * rate * passed_s + _SCALE_ERROR * turn,
-    )
+            return f"scan contradicts the IMU: position by {100.0 * moved_m:.0f} cm"
+        return f"scan contradicts the IMU: rotation by {np.degrees(turned):.1f} deg"
 
 
 def is_jump(before: NavigationState, after: NavigationState) -> bool:
     """Whether a pose moves so far between two states of one time that nobody may take it for motion."""
-    turned = rotation.log(rotation.from_matrix(before.R_map_imu.T @ after.R_map_imu))
-    return bool(np.linalg.norm(after.p_map - before.p_map) > _JUMP_M or np.linalg.norm(turned) > _JUMP)
+    result = np.zeros(RESULT_SIZE)
+    innovate(before.vector, after.vector, before.covariance, np.zeros((1, 22)), result)
+    return _is_far(float(result[6]), float(result[7]))
+
+
+def _is_far(moved_m: float, turned: float) -> bool:
+    return moved_m > _JUMP_M or turned > _JUMP

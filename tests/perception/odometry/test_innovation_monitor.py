@@ -4,7 +4,8 @@ import pytest
 from companion.geometry import rotation
 from companion.messages import FloatArray
 from companion.perception.odometry import kernels
-from companion.perception.odometry.innovation_monitor import InnovationMonitor, is_jump, unmodelled
+from companion.perception.odometry.innovation_monitor import InnovationMonitor, is_jump
+from companion.perception.odometry.innovation_monitor_kernels import RESULT_SIZE, innovate
 from companion.perception.odometry.state import ERROR_SIZE, STATE_SIZE, NavigationState
 
 SIGMA_M, SIGMA = 0.004, 5e-4
@@ -67,12 +68,39 @@ def test_contradictions_that_alternate_do_not_add_up() -> None:
         assert monitor.observe(_state(), _corrected(error), _way()) == ""
 
 
+def _unmodelled(way: FloatArray) -> tuple[float, float]:
+    """What position and rotation may be off by beyond the filter's covariance."""
+    result = np.zeros(RESULT_SIZE)
+    innovate(_state().vector, _state().vector, _state().covariance, way, result)
+    return float(result[8]), float(result[9])
+
+
+def test_the_kernel_whitens_as_its_readable_form() -> None:
+    rng = np.random.default_rng(11)
+    root = rng.normal(size=(ERROR_SIZE, ERROR_SIZE)) * 1e-3
+    predicted = _state()
+    predicted.covariance[:] = root @ root.T + np.eye(ERROR_SIZE) * 1e-6
+    for scale in (1e-3, 0.05, 1.5):
+        e = rng.normal(size=6) * scale
+        result = np.zeros(RESULT_SIZE)
+        way = _way(1.7, rate=0.4)
+        innovate(predicted.vector, _corrected(e).vector, predicted.covariance, way, result)
+        steps = np.diff(way[:-1, 16:22], axis=0)
+        shaking = np.sqrt(0.5 * np.mean(steps**2, axis=0))
+        position_m = 0.002 + (0.2 * shaking[:3].max() + shaking[:3].max() - 1.0) * 0.01
+        angle = 3.5e-4 + 0.2 * shaking[3:].max() * 0.1 + 0.005 * 0.04
+        S = predicted.covariance[:6, :6] + np.diag([position_m**2] * 3 + [angle**2] * 3)
+        np.testing.assert_allclose(result[:6], np.linalg.solve(np.linalg.cholesky(S), e), rtol=1e-6)
+        np.testing.assert_allclose(result[6:8], [np.linalg.norm(e[:3]), np.linalg.norm(e[3:])], rtol=1e-6)
+        np.testing.assert_allclose(result[8:], [position_m, angle], rtol=1e-9)
+
+
 def test_more_is_allowed_while_the_chip_is_shaken_turns_fast_or_loses_samples() -> None:
-    calm_m, calm = unmodelled(_way(0.5))
-    assert unmodelled(_way(3.0))[0] > calm_m + 0.01
-    assert unmodelled(_way(0.5, rate=1.6))[1] == pytest.approx(calm + 0.005 * 0.16, rel=0.05)
+    calm_m, calm = _unmodelled(_way(0.5))
+    assert _unmodelled(_way(3.0))[0] > calm_m + 0.01
+    assert _unmodelled(_way(0.5, rate=1.6))[1] == pytest.approx(calm + 0.005 * 0.16, rel=0.05)
     gappy = np.delete(_way(0.5), [4, 9, 14], axis=0)
-    assert unmodelled(gappy)[0] > calm_m
+    assert _unmodelled(gappy)[0] > calm_m
 
 
 def test_only_a_far_unexpected_move_is_a_jump() -> None:

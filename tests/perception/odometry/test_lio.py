@@ -216,8 +216,7 @@ def test_without_scans_the_quality_falls_until_the_odometry_is_lost_and_then_giv
     assert OdometryStatus.DEGRADED in statuses
     search = [entry for entry in outcome.odometry if entry.status is OdometryStatus.LOST]
     lost = search[-1]
-    assert all(entry.quality == 0 for entry in search)
-    assert all("no scan matched" in entry.reason for entry in search)
+    assert all(entry.quality == 0 and "no scan matched" in entry.reason for entry in search)
     assert [entry.reset_counter for entry in search[:-1]] == [0] * (len(search) - 1)
     assert lost.reset_counter == 1
     assert (lost.t_sensor_ns - search[0].t_sensor_ns) * 1e-9 == pytest.approx(0.5, abs=0.02)
