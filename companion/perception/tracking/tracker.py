@@ -135,11 +135,9 @@ class NeighbourTracker:
             return False
         if settings.tape is Tape.REFLECTIVE and cluster.bright_share <= settings.bright_share:
             return False
-        return all(
-            float(np.linalg.norm(track.motion.p_map - z_map)) > settings.same_body_m
-            for track in self._tracks
-            if track.t_seen_ns == self._t_ns
-        )
+        seen = [track.motion.p_map for track in self._tracks if track.t_seen_ns == self._t_ns]
+        away = np.linalg.norm(np.array(seen).reshape(-1, 3) - z_map, axis=1)
+        return bool(np.min(away, initial=np.inf) > settings.same_body_m)
 
     def _matches(
         self,
@@ -267,13 +265,14 @@ class NeighbourTracker:
             (track for track in self._tracks if track.t_seen_ns == t_ns),
             key=lambda track: (not track.proof.validated, track.t_born_ns, track.track_id),
         )
-        kept: list[Track] = []
-        for track in ranked:
-            away = [float(np.linalg.norm(track.motion.p_map - other.motion.p_map)) for other in kept]
-            if min(away, default=np.inf) > self._settings.same_body_m:
-                kept.append(track)
-        gone = {track.track_id for track in ranked} - {track.track_id for track in kept}
-        self._tracks = [track for track in self._tracks if track.track_id not in gone]
+        p = np.array([track.motion.p_map for track in ranked]).reshape(-1, 3)
+        near = np.linalg.norm(p[:, None] - p, axis=2) <= self._settings.same_body_m
+        gone: set[int] = set()
+        for i in np.flatnonzero(np.tril(near, -1).any(axis=1)).tolist():
+            if any(j not in gone for j in np.flatnonzero(near[i, :i]).tolist()):
+                gone.add(i)
+        dropped = {ranked[i].track_id for i in gone}
+        self._tracks = [track for track in self._tracks if track.track_id not in dropped]
 
     def _bury(self) -> None:
         longest = self._settings.inactive_s + self._settings.last_seen_s
