@@ -246,8 +246,9 @@ def gather(
     ix = int(np.floor(x * inverse))
     iy = int(np.floor(y * inverse))
     iz = int(np.floor(z * inverse))
-    # The lower block's cells (ix - 1 or both of ix - 1, ix), then the upper's.
+    # Of three consecutive cells the lower block holds one or two, the upper one the rest.
     bx, by, bz = (ix - 1) >> 1, (iy - 1) >> 1, (iz - 1) >> 1
+    fx, fy, fz = (ix - 1) & 1, (iy - 1) & 1, (iz - 1) & 1
     limit = radius_m * radius_m
     count = 0
     for kx in range(2):
@@ -256,26 +257,23 @@ def gather(
                 block = find(table_keys, table_blocks, pack(bx + kx, by + ky, bz + kz))
                 if block == EMPTY:
                     continue
-                for c in range(8):
-                    weight = cells[block, c, 3]
-                    if weight == 0.0:
-                        continue
-                    if abs(2 * (bx + kx) + (c & 1) - ix) > 1:
-                        continue
-                    if abs(2 * (by + ky) + ((c >> 1) & 1) - iy) > 1:
-                        continue
-                    if abs(2 * (bz + kz) + (c >> 2) - iz) > 1:
-                        continue
-                    dx = np.float64(cells[block, c, 0]) - x
-                    dy = np.float64(cells[block, c, 1]) - y
-                    dz = np.float64(cells[block, c, 2]) - z
-                    square = dx * dx + dy * dy + dz * dz
-                    if square <= limit:
-                        found[count, 0] = dx
-                        found[count, 1] = dy
-                        found[count, 2] = dz
-                        found[count, 3] = weight
-                        found[count, 4] = square
-                        found[count, 5] = block
-                        count += 1
+                for cz in range(0 if kz else fz, (fz if kz else 1) + 1):
+                    for cy in range(0 if ky else fy, (fy if ky else 1) + 1):
+                        for cx in range(0 if kx else fx, (fx if kx else 1) + 1):
+                            cell = cells[block, cx | (cy << 1) | (cz << 2)]
+                            weight = cell[3]
+                            if weight == 0.0:
+                                continue
+                            dx = np.float64(cell[0]) - x
+                            dy = np.float64(cell[1]) - y
+                            dz = np.float64(cell[2]) - z
+                            square = dx * dx + dy * dy + dz * dz
+                            if square <= limit:
+                                found[count, 0] = dx
+                                found[count, 1] = dy
+                                found[count, 2] = dz
+                                found[count, 3] = weight
+                                found[count, 4] = square
+                                found[count, 5] = block
+                                count += 1
     return count
