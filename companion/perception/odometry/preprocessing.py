@@ -64,9 +64,9 @@ class Thinning:
         self._smallest_m = settings.thinning_cell_min_m
         self._largest_m = max(settings.thinning_cell_min_m, settings.thinning_cell_max_m)
         self.cell_m = float(np.sqrt(self._smallest_m * self._largest_m))
-        self._keys = np.zeros(_SCRATCH, dtype=np.int64)
-        self._stamps = np.zeros(_SCRATCH + 1, dtype=np.int64)
-        self._chosen = np.zeros(MOST_POINTS, dtype=np.int64)
+        self._keys = np.full(_SCRATCH, 0, dtype=np.int64)
+        self._stamps = np.full(_SCRATCH + 1, 0, dtype=np.int64)
+        self._chosen = np.full(MOST_POINTS, 0, dtype=np.int64)
 
     def choose(self, points_imu: FloatArray) -> NDArray[np.int64]:
         """Return the indices (m,) of the chosen points (n, 3), ascending."""

@@ -33,7 +33,8 @@ class VoxelMap:
         self.block_keys = np.empty(blocks, dtype=np.int64)
         self.block_seen = np.empty(blocks, dtype=np.int64)
         self.block_born = np.empty(blocks, dtype=np.int64)
-        self.cells = np.zeros((blocks, 8, 4), dtype=np.float32)
+        # Written once now, so that the system gives all memory before the flight, not page by page in it.
+        self.cells = np.full((blocks, 8, 4), 0.0, dtype=np.float32)
         self.free = np.empty(blocks, dtype=np.int32)
         self.control = np.zeros(3, dtype=np.int64)
         self._stamp = 0
