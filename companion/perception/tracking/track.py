@@ -13,6 +13,8 @@ from companion.perception.tracking.settings import TrackingSettings
 from companion.perception.tracking.validation import Proof
 
 _LEAST_HIDDEN = 0.3
+_RESOLVED_POINTS = 20
+_RESOLVED_RADII = 1.5
 _EXPECTED_SQUARE = 9.0  # squared Mahalanobis distance within which a return surprises nobody
 _EXPECTED_M = 0.6  # and distance, by the largest one
 
@@ -150,6 +152,14 @@ class Track:
         self._begin(t_ns, cluster, z_map, R)
         if expected:
             self.proof.take_over(before)
+
+    def look_around(self, counts: FloatArray, expected: float) -> None:
+        """Take what surrounds it; see `Proof.look_around`."""
+        width = math.hypot(float(self._newest.size_m[0]), float(self._newest.size_m[1]))
+        resolved = (
+            self._newest.fresh >= _RESOLVED_POINTS and width >= _RESOLVED_RADII * self._settings.body_radius_m
+        )
+        self.proof.look_around(counts, expected, resolved)
 
     def judge(self) -> None:
         """Decide anew whether it is a UAV, after an observation."""

@@ -255,7 +255,7 @@ class NeighbourTracker:
             counts = self._search.survey(stack, bodies, list(range(len(seen))), seen, sensor_map)
             expected = self._surroundings.expected_foot(bodies.centres_map, sensor_map, odometry.q_map_body)
             for track, count, foot in zip(seen, counts, expected, strict=True):
-                track.proof.look_around(count, float(foot))
+                track.look_around(count, float(foot))
         for track in seen:
             track.judge()
 

@@ -27,6 +27,7 @@ _DOUBT = 0.25  # what seems attached by more than this cannot prove itself by mo
 _MOST_AGAINST = 3.0  # attached points that count
 _MOST_WEIGHT = 2.0  # of each of them
 _LEAST_EXPECTED, _MOST_EXPECTED = 0.5, 1.5  # points at a foot
+_BY_SIZE = 0.5  # evidence, where no foot could be seen, of a body that is seen well and stands alone
 _CLUTTER = 0.02  # points that seem attached to what floats, and the same for each point on the body
 _ENOUGH_POINTS = 5.0
 _RETURNS = 0.7  # share of the beams at a foot that return
@@ -106,7 +107,7 @@ class Proof:
         """Return the remembered share of bright points."""
         return self._bright / self._points if self._points > 0.0 else 0.0
 
-    def look_around(self, counts: FloatArray, expected: float) -> None:
+    def look_around(self, counts: FloatArray, expected: float, resolved: bool) -> None:
         """Take the surroundings of one scan.
 
         With a foot, points about it are Poisson distributed with the expected number plus clutter;
@@ -116,11 +117,15 @@ class Proof:
         Args:
             counts: (SURROUNDINGS_WIDTH,) see `region_kernels.survey`.
             expected: points that a foot would show.
+            resolved: so many points show it that its size is beyond doubt, and it is a UAV's.
         """
         around = float(counts[region_kernels.BELOW :].sum())
         clutter = _CLUTTER * (1.0 + float(counts[region_kernels.BODY]))
         weight = min(math.log1p(max(expected, _LEAST_EXPECTED) / clutter), _MOST_WEIGHT)
         expected = min(expected, _MOST_EXPECTED)
+        if resolved and around == 0.0:
+            # Very near, the space under it may be out of view; but posts are thin, and people are large.
+            expected = max(expected, _BY_SIZE)
         against = min(around, _MOST_AGAINST) * weight
         threshold = self._settings.free_evidence
         self.free = self.free + expected - against
