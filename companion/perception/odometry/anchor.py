@@ -6,11 +6,12 @@ from numpy.typing import NDArray
 from companion.messages import FloatArray
 from companion.perception.odometry.body_motion import cross_matrix
 from companion.perception.odometry.degeneracy import Observability
-from companion.perception.odometry.state import NavigationState
 from companion.perception.odometry.update import Correction
 
 MOST_PERIODS = 32
 _NEW_SHARE = 0.1  # of a scan's weight on the newest period's ground, at which the next one begins
+_QUIET = 0.42  # of the assumed variance of residuals: below, errors of the map do not shrink with it
+_SETTLING = 0.1
 _SEEN_SHARE = 0.01  # of a scan's weight, below which a period counts as out of sight
 
 
@@ -34,13 +35,15 @@ class Anchor:
     twists as considered parameters.
     """
 
-    def __init__(self, correlation: float) -> None:
+    def __init__(self, residual_correlation: float) -> None:
         """Start at the origin.
 
         Args:
-            correlation: factor on the variance of a matched pose, see `OdometrySettings`.
+            residual_correlation: see `OdometrySettings`.
         """
-        self._correlation = correlation
+        self._residual_correlation = residual_correlation
+        self.correlation = residual_correlation * _QUIET
+        """Factor on the variance of a matched pose: more where residuals scatter more."""
         size = 6 * (MOST_PERIODS + 1)
         self._joint = np.zeros((size, size))  # the pose, then the periods
         self.covariance = np.zeros((6, 6))  # of the twist that the present pose inherited
@@ -59,6 +62,7 @@ class Anchor:
         self._seen.fill(0)
         self._scans = 0
         self.periods = 1
+        self.correlation = self._residual_correlation * _QUIET
 
     @property
     def starts(self) -> NDArray[np.int64]:
@@ -77,8 +81,10 @@ class Anchor:
         """
         state = correction.state
         self._scans += 1
-        count, twist = self.periods, twist_of_pose(state)
-        gain = twist @ state.covariance[:6, :6]
+        scatter = self._residual_correlation * max(_QUIET, correction.normalised_rms**2)
+        self.correlation += _SETTLING * (scatter - self.correlation)
+        count, twist = self.periods, twist_of_pose(correction.seen)
+        gain = twist @ correction.gain
         kept = observed_part(correction.observability)
         back = kept.T @ np.linalg.inv(twist)
         mixing = np.zeros((6, 6 * (count + 1)))
@@ -99,7 +105,7 @@ class Anchor:
         state.covariance[[15, 16], [15, 16]] += turned[::-1]
         self._seen[np.flatnonzero(shares > _SEEN_SHARE)] = self._scans
         if shares[count - 1] > _NEW_SHARE:
-            self._begin(next_birth, twist @ state.covariance[:6, :6] @ twist.T * self._correlation)
+            self._begin(next_birth, self.correlation * gain @ twist.T)
 
     def _begin(self, birth: int, matching: FloatArray) -> None:
         """Begin a period with the present pose's twist and its matching error.
@@ -127,11 +133,15 @@ class Anchor:
         self.periods -= 1
 
 
-def twist_of_pose(state: NavigationState) -> FloatArray:
-    """Return the matrix (6, 6) that turns errors of the pose (p, theta) into a twist of the map."""
-    twist = np.eye(6)
-    twist[3:, 3:] = state.R_map_imu
-    twist[:3, 3:] = cross_matrix(state.p_map) @ state.R_map_imu
+def twist_of_pose(pose: FloatArray) -> FloatArray:
+    """Return the matrix (6, 6) that turns errors (p, theta) of a pose into a twist of the map.
+
+    Args:
+        pose: (>= 12,) p_map, then R_map_imu by rows.
+    """
+    twist, R_map_imu = np.eye(6), pose[3:12].reshape(3, 3)
+    twist[3:, 3:] = R_map_imu
+    twist[:3, 3:] = cross_matrix(pose[:3]) @ R_map_imu
     return twist
 
 

@@ -19,13 +19,12 @@ def cross_matrix(v: FloatArray) -> FloatArray:
 
 
 class Mounting:
-    """Where the body is in the IMU frame, and what its odometry must not claim, ready for the kernel."""
+    """Where the body is in the IMU frame, and the least that is said of its errors, for the kernel."""
 
     def __init__(self, T_imu_body: Pose, settings: OdometrySettings) -> None:
-        """Take the body's pose in the IMU frame, and the floors and factor of the settings."""
+        """Take the body's pose in the IMU frame, and the floors of the settings."""
         self.p_imu_body = np.ascontiguousarray(T_imu_body.p, dtype=np.float64)
         self.R_imu_body = np.ascontiguousarray(rotation.to_matrix(T_imu_body.q))
-        self.correlation = settings.residual_correlation
         self.floors = np.square(
             [
                 settings.position_sigma_floor_m,
@@ -38,6 +37,7 @@ class Mounting:
 def body_odometry(
     state: NavigationState,
     anchored: FloatArray,
+    correlation: float,
     omega_imu: FloatArray,
     mounting: Mounting,
     t_ns: int,
@@ -49,6 +49,7 @@ def body_odometry(
     Args:
         state: motion of the IMU and its covariance against the filter's own map.
         anchored: (6, 6) covariance of that map's twist against the start, see `Anchor`.
+        correlation: factor on the covariance of pose and velocity against the filter's map.
         omega_imu: (3,) rate at the state's time, free of bias, rad/s.
         mounting: of the IMU on the body.
         t_ns: host time of the state.
@@ -64,7 +65,7 @@ def body_odometry(
         omega_imu,
         mounting.p_imu_body,
         mounting.R_imu_body,
-        mounting.correlation,
+        correlation,
         mounting.floors,
         motion,
         pose_covariance,

@@ -187,7 +187,7 @@ def vibration(inertial: FloatArray, first: int, last: int, dt: float, shaking: F
 
 @compiled(
     "int64(float64[::1], float64[:,::1], int64[::1], float64[:,::1], boolean[::1], int64, int64, int64,"
-    " float64[::1], float64[::1], float64[:,::1])"
+    " float64[::1], float64[::1], float64[::1], float64[:,::1])"
 )
 def integrate(
     state: FloatArray,
@@ -200,6 +200,7 @@ def integrate(
     origin_ns: int,
     noise: FloatArray,
     shaking: FloatArray,
+    excess: FloatArray,
     segments: FloatArray,
 ) -> int:
     """Propagate a state in place from one instant to another through a history of samples.
@@ -220,6 +221,7 @@ def integrate(
         noise: (9,) squared densities of rate, force and their biases' walks; squared rate and force that
             may go unseen in a gap; the same for suspect samples; the shortest gap in seconds.
         shaking: (2,) squared densities that vibration showed last, kept up to date.
+        excess: (2,) factors on both, learnt from what scans correct.
         segments: (>= n + 2, 22) as of `propagate`.
 
     Returns:
@@ -241,8 +243,8 @@ def integrate(
         vibration(between, 0, count - 1, (t_s[count - 1] - t_s[0]) / (count - 1), shaking)
     for k in range(count - 1):
         dt = t_s[k + 1] - t_s[k]
-        variances[k, 0] = max(noise[0], shaking[0])
-        variances[k, 1] = max(noise[1], shaking[1])
+        variances[k, 0] = max(noise[0], max(noise[0], shaking[0]) * excess[0])
+        variances[k, 1] = max(noise[1], max(noise[1], shaking[1]) * excess[1])
         variances[k, 2], variances[k, 3] = noise[2], noise[3]
         if dt > noise[8]:
             variances[k, 0] += noise[4] * dt

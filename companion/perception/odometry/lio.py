@@ -35,7 +35,7 @@ from companion.perception.odometry.resting_scans import map_from_rest
 from companion.perception.odometry.sequencer import Arrival, Sequencer
 from companion.perception.odometry.settings import OdometrySettings
 from companion.perception.odometry.state import NavigationState
-from companion.perception.odometry.update import Correction, ScanMatcher
+from companion.perception.odometry.update import AT_ONCE, Correction, ScanMatcher
 from companion.perception.odometry.voxel_map import VoxelMap
 
 _WAITING_PERIOD_NS = NANOSECONDS_PER_SECOND // 2
@@ -67,6 +67,7 @@ class LidarInertialOdometry:
         self.last_correction: Correction | None = None
         self._initialiser = StaticInitialiser(settings, self._T_imu_body)
         self._propagation = Propagation(settings)
+        self._view = AT_ONCE
         self._thinning = Thinning(settings)
         self._matcher = ScanMatcher(settings, self.fine_map, self.coarse_map)
         self._relocaliser = Relocaliser(self._matcher)
@@ -114,6 +115,9 @@ class LidarInertialOdometry:
         """The whole algorithm: predict, de-skew, match, correct, map, and catch up with the IMU."""
         points_lidar, offsets_ns, reflectivity = usable_points(scan, self._settings)
         self._propagation.advance(state, self.sequencer.history, scan.t_sensor_end_ns, scan.t_sensor_start_ns)
+        self._view = self._propagation.view(
+            state, self.sequencer.history, scan.t_sensor_end_ns - scan.t_sensor_start_ns, offsets_ns
+        )
         if not state.is_finite():
             return [self._give_up(self._health.judge(state))]
         points_imu = self._points_imu[: len(points_lidar)]
@@ -135,11 +139,9 @@ class LidarInertialOdometry:
         outputs: list[Odometry | RegisteredScan] = []
         if correction is not None and correction.accepted:
             if self._health.may_map(correction.state.t_ns):
-                self._insert(points_imu, chosen, correction.state)
+                self._insert(points_imu, chosen, correction.seen)
             ages_ns = (scan.t_sensor_end_ns - scan.t_sensor_start_ns - offsets_ns).astype(np.int32)
-            outputs.append(
-                self._registered(scan, points_imu, reflectivity, ages_ns, correction.state, health)
-            )
+            outputs.append(self._registered(scan, points_imu, reflectivity, ages_ns, correction, health))
         self._head = self._scan_state.copy()
         self._propagation.advance(
             self._head, self.sequencer.history, self.sequencer.history.last_ns, self._scan_state.t_ns
@@ -152,8 +154,9 @@ class LidarInertialOdometry:
         """Match a scan; after an outage search the place, with None while it is not found."""
         way = self._propagation.segments[: self._propagation.count]
         if not self._health.must_search(predicted.t_ns):
-            correction = self._matcher.correct(predicted, points_imu, chosen)
+            correction = self._matcher.correct(predicted, points_imu, chosen, self._view)
             if correction.accepted:
+                self._propagation.learn(predicted, correction.state)
                 self._inherit(correction, points_imu, chosen)
             if self._health.observe(predicted, correction, way):
                 self._reset_counter += 1
@@ -283,7 +286,7 @@ class LidarInertialOdometry:
         """Let the anchor know which ground a scan was matched to."""
         anchor = self.anchor
         self._matcher.share_by_birth(
-            correction.state,
+            correction.seen,
             points_imu,
             chosen,
             anchor.starts,
@@ -293,10 +296,10 @@ class LidarInertialOdometry:
         )
         anchor.follow(correction, self.fine_map.stamp + 1)
 
-    def _insert(self, points_imu: FloatArray, chosen: NDArray[np.int64], state: NavigationState) -> None:
+    def _insert(self, points_imu: FloatArray, chosen: NDArray[np.int64], pose: FloatArray) -> None:
         """Fuse all points into the fine map; the coarse one, which serves sparse places, needs but a few."""
-        self.fine_map.insert(points_imu, state.vector, self._settings.fine_range_m)
-        self.coarse_map.insert(points_imu[chosen], state.vector, self._settings.max_range_m)
+        self.fine_map.insert(points_imu, pose, self._settings.fine_range_m)
+        self.coarse_map.insert(points_imu[chosen], pose, self._settings.max_range_m)
 
     def _registered(
         self,
@@ -304,15 +307,14 @@ class LidarInertialOdometry:
         points_imu: FloatArray,
         reflectivity: ByteArray,
         ages_ns: NDArray[np.int32],
-        state: NavigationState,
+        correction: Correction,
         health: Health,
     ) -> RegisteredScan:
         """Return the scan in the map with the body's motion at its end."""
         kept = nearest_first(points_imu, self._settings.registered_points)
-        level = level_rotation(state)
-        points_map: PointArray = (
-            points_imu[kept] @ (level @ state.R_map_imu).T + level @ state.p_map
-        ).astype(np.float32)
+        state, seen, level = correction.state, correction.seen, level_rotation(correction.state)
+        R_level_imu = level @ seen[3:12].reshape(3, 3)
+        points_map: PointArray = (points_imu[kept] @ R_level_imu.T + level @ seen[:3]).astype(np.float32)
         omega_imu = self._propagation.end_rate
         odometry = self._odometry(state, omega_imu, health)
         return RegisteredScan(
@@ -323,6 +325,7 @@ class LidarInertialOdometry:
         return body_odometry(
             state,
             self.anchor.covariance,
+            self.anchor.correlation,
             omega_imu,
             self._mounting,
             self._host_time_ns(state.t_ns),

@@ -139,16 +139,19 @@ def solve_pose(information: FloatArray, pose_prior: FloatArray, right: FloatArra
 
 
 @compiled(
-    "void(float64[:,::1], int64[::1], float64[::1], float64[:,::1],"
+    "void(float64[:,::1], int64[::1], float64[::1], float64[:,::1], float64, float64[:,::1],"
     " int64[::1], int32[::1], int64[::1], float32[:,:,::1], float64,"
     " int64[::1], int32[::1], int64[::1], float32[:,:,::1], float64, float64[::1],"
-    " float64[:,::1], float64[::1], float64[:,::1], float64[::1], float64[:,::1], float64[::1])"
+    " float64[:,::1], float64[::1], float64[::1], float64[:,::1], float64[::1], float64[:,::1],"
+    " float64[::1], float64[:,::1])"
 )
 def register(
     points_imu: FloatArray,
     chosen: NDArray[np.int64],
     predicted: FloatArray,
-    prior: FloatArray,
+    covariance: FloatArray,
+    lag_s: float,
+    unseen: FloatArray,
     fine_keys: NDArray[np.int64],
     fine_blocks: NDArray[np.int32],
     fine_born: NDArray[np.int64],
@@ -161,23 +164,33 @@ def register(
     coarse_cell_m: float,
     tuning: FloatArray,
     planes: FloatArray,
+    seen: FloatArray,
     state: FloatArray,
     posterior: FloatArray,
     shares: FloatArray,
     directions: FloatArray,
     summary: FloatArray,
+    gain: FloatArray,
 ) -> None:
     """Find the state that explains both a prediction and a scan's points.
 
     With A = H' W H and b = -H' W r at the present iterate, whose error from the prediction is e, the next
-    error is P E (I + A E'P E)^-1 (b + A E'e), where E selects the pose; the 18 x 18 prior is never
-    inverted. Source: W. Xu et al., "FAST-LIO2", 2022, equation 19, by the matrix inversion lemma.
+    error is P E (I + A E'P E)^-1 (b + A E'e), where E'e is the error of the pose that the scan shows; the
+    18 x 18 prior is never inverted. Source: W. Xu et al., "FAST-LIO2", 2022, equation 19, by the matrix
+    inversion lemma.
+
+    The scan shows the pose of its mean time, a lag before its end: for de-skewing carries the points on
+    to the end with the predicted velocity and rate, errors of which do not displace them where they were
+    measured. So E'e is (p - lag v, theta + lag bg), which is what makes velocity observable at once. What
+    noise added too late to be seen is no part of P, and added again in the end.
 
     Args:
         points_imu: (n, 3) de-skewed points, metres.
         chosen: (m,) indices of the points to match.
         predicted: (24,) state at the scan's end.
-        prior: (18, 18) its covariance.
+        covariance: (18, 18) of it.
+        lag_s: mean age of the points at the scan's end.
+        unseen: (18, 18) part of the covariance that the scan cannot show.
         fine_keys: and the next four: the fine map, see `matching_kernels.find_planes`.
         fine_blocks: see there.
         fine_born: see there.
@@ -190,20 +203,34 @@ def register(
         coarse_cell_m: see there.
         tuning: (8,) in the order of this module's constants.
         planes: (>= m, 8) receives the planes and weights of the last step.
+        seen: (24,) receives the prediction with the pose at which the points lie on the map.
         state: (24,) receives the state, the prediction itself if it was not accepted.
         posterior: (18, 18) receives its covariance.
         shares: (6,) receives what share of the scan's weight observes each direction.
         directions: (6, 6) receives these directions as columns.
         summary: (9,) receives counts and statistics in the order of this module's constants.
+        gain: (6, 6) receives the covariance of the pose shown, by which a gradient moves it.
     """
+    prior = covariance - unseen
+    across = np.empty((18, 6))  # P E
+    for r in range(18):
+        for c in range(3):
+            across[r, c] = prior[r, c] - lag_s * prior[r, 6 + c]
+            across[r, 3 + c] = prior[r, 3 + c] + lag_s * prior[r, 9 + c]
+    pose_prior = np.empty((6, 6))
+    for c in range(6):
+        for r in range(3):
+            pose_prior[r, c] = across[r, c] - lag_s * across[6 + r, c]
+            pose_prior[3 + r, c] = across[3 + r, c] + lag_s * across[9 + r, c]
     information, gradient = np.zeros((6, 6)), np.zeros(6)
     statistics = np.zeros(4)
     error, right = np.zeros(18), np.zeros((6, 1))
-    pose_prior = np.ascontiguousarray(prior[:6, :6])
+    shown = np.zeros(18)
     gate = pose_prior.copy()
     searched, previous = np.zeros(24), np.zeros(24)
     state[:] = predicted
-    posterior[:, :] = prior
+    seen[:] = predicted
+    posterior[:, :] = covariance
     summary[:] = 0.0
     # A prediction less certain than a fine cell would find the wrong ones of its planes, so coarse
     # ones come first; what they bring near enough is then gated as narrowly as if it had been near.
@@ -214,11 +241,11 @@ def register(
     search = True
     found, matched, iterations = 0, 0, 0
     while iterations < tuning[MAX_ITERATIONS]:
-        if search or displacement(searched, state) > fine_cell_m * SEARCH_AGAIN_CELLS:
+        if search or displacement(searched, seen) > fine_cell_m * SEARCH_AGAIN_CELLS:
             found = find_planes(
                 points_imu,
                 chosen,
-                state,
+                seen,
                 fine_keys,
                 fine_blocks,
                 fine_born,
@@ -233,14 +260,14 @@ def register(
                 fine,
                 planes,
             )
-            searched[:] = state
+            searched[:] = seen
             search = False
             summary[SEARCHES] += 1.0
         matched = accumulate(
             points_imu,
             chosen,
             planes,
-            state,
+            seen,
             gate,
             tuning[RANGE_VARIANCE],
             tuning[ANGLE_VARIANCE],
@@ -257,17 +284,20 @@ def register(
         for r in range(6):
             right[r, 0] = gradient[r]
             for c in range(6):
-                right[r, 0] += information[r, c] * error[c]
+                right[r, 0] += information[r, c] * shown[c]
         pose_step = solve_pose(information, pose_prior, right)
         for r in range(18):
             total = 0.0
             for c in range(6):
-                total += prior[r, c] * pose_step[c, 0]
+                total += across[r, c] * pose_step[c, 0]
             error[r] = total
-        previous[:] = state
-        move(predicted, error, state)
+        for r in range(3):
+            shown[r] = error[r] - lag_s * error[6 + r]
+            shown[3 + r] = error[3 + r] + lag_s * error[9 + r]
+        previous[:] = seen
+        move(predicted, shown, seen)
         iterations += 1
-        settled = displacement(previous, state) < SMALL_STEP_M
+        settled = displacement(previous, seen) < SMALL_STEP_M
         if fine and settled:
             break
         if not fine and (settled or iterations >= COARSE_ITERATIONS):
@@ -283,19 +313,30 @@ def register(
     )
     summary[ACCEPTED] = 1.0 if accepted else 0.0
     if not accepted:
-        state[:] = predicted
+        seen[:] = predicted
         return
-    gain = solve_pose(information, pose_prior, information)
+    move(predicted, error, state)
+    taken = solve_pose(information, pose_prior, information)
     half = np.zeros((18, 6))
     for r in range(18):
         for c in range(6):
             for k in range(6):
-                half[r, c] += prior[r, k] * gain[k, c]
+                half[r, c] += across[r, k] * taken[k, c]
     for r in range(18):
         for c in range(r + 1):
             down, up = 0.0, 0.0
             for k in range(6):
-                down += half[r, k] * prior[k, c]
-                up += half[c, k] * prior[k, r]
-            posterior[r, c] = 0.5 * (prior[r, c] - down + prior[c, r] - up)
+                down += half[r, k] * across[c, k]
+                up += half[c, k] * across[r, k]
+            posterior[r, c] = 0.5 * (covariance[r, c] - down + covariance[c, r] - up)
             posterior[c, r] = posterior[r, c]
+    # (I + P A)^-1 P, which is symmetric.
+    gain[:, :] = solve_pose(information, pose_prior, np.eye(6))
+    product = np.zeros((6, 6))
+    for r in range(6):
+        for c in range(6):
+            for k in range(6):
+                product[r, c] += pose_prior[r, k] * gain[k, c]
+    for r in range(6):
+        for c in range(6):
+            gain[r, c] = 0.5 * (product[r, c] + product[c, r])

@@ -132,9 +132,9 @@ class OdometrySettings(Settings):
     """After an outage of this length the place is searched and proven before it is used again."""
     search_s: float = Field(default=10.0, ge=0.5, le=60.0)
     """A lost odometry keeps its map and searches its place for this long before it waits for rest."""
-    residual_correlation: float = Field(default=2.2, ge=1.0, le=100.0)
-    """How many times larger the variance of a matched motion is than if all residuals were independent:
-    they share the map's errors, which do not average out."""
+    residual_correlation: float = Field(default=4.3, ge=1.0, le=100.0)
+    """How many times larger the variance of a matched motion is than if all residuals were independent, when
+    they scatter as assumed: they share the map's errors, which do not average out."""
     position_sigma_floor_m: float = Field(default=5e-4, ge=0.0, le=1.0)
     """Smallest published standard deviation of each position axis."""
     rotation_sigma_floor_deg: float = Field(default=0.005, ge=0.0, le=10.0)

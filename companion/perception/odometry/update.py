@@ -12,7 +12,7 @@ from companion.perception.odometry import registration_kernels as kernels
 from companion.perception.odometry.degeneracy import Observability
 from companion.perception.odometry.preprocessing import MOST_POINTS
 from companion.perception.odometry.settings import OdometrySettings
-from companion.perception.odometry.state import NavigationState
+from companion.perception.odometry.state import ERROR_SIZE, STATE_SIZE, NavigationState
 from companion.perception.odometry.voxel_map import VoxelMap
 
 
@@ -32,6 +32,9 @@ class Correction:
         wide: whether the prediction was contradicted and a wider search found the place.
         iterations: Gauss-Newton steps taken.
         searches: how often planes were searched.
+        seen: (24,) the prediction with the pose at which the points lie on the map; it differs from the
+            corrected state where de-skewing took a wrong velocity or rate.
+        gain: (6, 6) covariance of that pose against the map, by which a gradient moves it.
     """
 
     state: NavigationState
@@ -45,6 +48,25 @@ class Correction:
     wide: bool
     iterations: int
     searches: int
+    seen: FloatArray
+    gain: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class View:
+    """What a scan shows of the state at its end.
+
+    Attributes:
+        lag_s: mean age of its points.
+        unseen: (18, 18) part of the prediction's covariance that arose too late to be seen.
+    """
+
+    lag_s: float
+    unseen: FloatArray
+
+
+AT_ONCE = View(0.0, np.zeros((ERROR_SIZE, ERROR_SIZE)))
+"""View of a scan whose points were all taken at its end."""
 
 
 class ScanMatcher:
@@ -58,7 +80,11 @@ class ScanMatcher:
         self._tuning = _packed(settings)
 
     def correct(
-        self, predicted: NavigationState, points_imu: FloatArray, chosen: NDArray[np.int64]
+        self,
+        predicted: NavigationState,
+        points_imu: FloatArray,
+        chosen: NDArray[np.int64],
+        view: View = AT_ONCE,
     ) -> Correction:
         """Correct a prediction; if the points contradict it, search once more and more widely.
 
@@ -66,11 +92,12 @@ class ScanMatcher:
             predicted: state and covariance at the scan's end.
             points_imu: (n, 3) de-skewed points.
             chosen: (m,) indices of the points to match.
+            view: when they were measured, and what noise came later.
         """
-        correction = self._iterate(predicted, points_imu, chosen)
+        correction = self._iterate(predicted, points_imu, chosen, view)
         if correction.accepted or correction.offered < self._settings.min_effective_points:
             return correction
-        wide = self._iterate(self.widened(predicted), points_imu, chosen)
+        wide = self._iterate(self.widened(predicted), points_imu, chosen, view)
         return replace(wide, wide=True) if wide.accepted else correction
 
     def widened(self, predicted: NavigationState) -> NavigationState:
@@ -85,7 +112,7 @@ class ScanMatcher:
 
     def share_by_birth(
         self,
-        state: NavigationState,
+        seen: FloatArray,
         points_imu: FloatArray,
         chosen: NDArray[np.int64],
         starts: NDArray[np.int64],
@@ -96,7 +123,7 @@ class ScanMatcher:
         """Split what corrected a state by when the ground it rests on was first seen.
 
         Args:
-            state: as the newest `correct` returned it.
+            seen: pose (>= 12,) of the newest correction.
             points_imu: as given to it.
             chosen: as given to it.
             starts: (>= count,) first birth of each period, ascending.
@@ -105,21 +132,24 @@ class ScanMatcher:
             weights: (>= count,) receives the sum of weights of each period.
         """
         matching_kernels.share_by_birth(
-            points_imu, chosen, self._planes, state.vector, starts, count, information, weights
+            points_imu, chosen, self._planes, seen, starts, count, information, weights
         )
 
     def _iterate(
-        self, predicted: NavigationState, points_imu: FloatArray, chosen: NDArray[np.int64]
+        self, predicted: NavigationState, points_imu: FloatArray, chosen: NDArray[np.int64], view: View
     ) -> Correction:
         """Run the iterated update once; see `registration_kernels.register`."""
         state = predicted.copy()
         shares, directions = np.zeros(6), np.zeros((6, 6))
         summary = np.zeros(kernels.N_SUMMARY)
+        seen, gain = np.zeros(STATE_SIZE), np.zeros((6, 6))
         kernels.register(
             points_imu,
             chosen,
             predicted.vector,
             predicted.covariance,
+            view.lag_s,
+            view.unseen,
             self._fine.table_keys,
             self._fine.table_blocks,
             self._fine.block_born,
@@ -132,11 +162,13 @@ class ScanMatcher:
             self._coarse.cell_m,
             self._tuning,
             self._planes,
+            seen,
             state.vector,
             state.covariance,
             shares,
             directions,
             summary,
+            gain,
         )
         accepted, matched = bool(summary[kernels.ACCEPTED]), int(summary[kernels.MATCHED])
         observability = None
@@ -155,6 +187,8 @@ class ScanMatcher:
             wide=False,
             iterations=int(summary[kernels.ITERATIONS]),
             searches=int(summary[kernels.SEARCHES]),
+            seen=seen,
+            gain=gain,
         )
 
 

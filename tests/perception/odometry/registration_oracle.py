@@ -9,6 +9,7 @@ from companion.messages import FloatArray
 from companion.perception.odometry import matching_kernels, registration_kernels
 from companion.perception.odometry.settings import OdometrySettings
 from companion.perception.odometry.state import NavigationState, P
+from companion.perception.odometry.update import View
 from companion.perception.odometry.voxel_map import VoxelMap
 
 
@@ -20,6 +21,8 @@ class Expected:
     iterations: int
     searches: int
     shares: FloatArray
+    seen: FloatArray
+    gain: FloatArray
 
 
 def keep_observed(
@@ -43,31 +46,35 @@ def register(
     fine: VoxelMap,
     coarse: VoxelMap,
     settings: OdometrySettings,
+    view: View,
 ) -> Expected:
     """Iterate with full matrices."""
-    prior = predicted.covariance
-    E = np.eye(18)[:, :6]
+    prior = predicted.covariance - view.unseen
+    E = np.eye(18)[:, :6]  # of the pose shown, by the error at the end
+    E[6:9, :3] = -view.lag_s * np.eye(3)
+    E[9:12, 3:] = view.lag_s * np.eye(3)
     planes = np.zeros((len(chosen), matching_kernels.PLANE_WIDTH))
     A, b, statistics = np.zeros((6, 6)), np.zeros(6), np.zeros(4)
     state, error = predicted, np.zeros(18)
     searched_at: NavigationState | None = None
+    seen, shown_prior = predicted, np.ascontiguousarray(E.T @ prior @ E)
     spread = spread_m(prior) / settings.fine_cell_m
-    use_fine, gate = spread < 1.0, np.ascontiguousarray(prior[:6, :6])
+    use_fine, gate = spread < 1.0, shown_prior
     found = matched = iterations = searches = 0
-    shares = np.zeros(6)
+    shares, gain = np.zeros(6), np.zeros((6, 6))
     while iterations < settings.max_iterations:
-        far = searched_at is None or displacement_m(searched_at, state) > 0.1 * settings.fine_cell_m
+        far = searched_at is None or displacement_m(searched_at, seen) > 0.1 * settings.fine_cell_m
         if far:
             found = matching_kernels.find_planes(
-                points_imu, chosen, state.vector,
+                points_imu, chosen, seen.vector,
                 fine.table_keys, fine.table_blocks, fine.block_born, fine.cells, fine.cell_m,
                 coarse.table_keys, coarse.table_blocks, coarse.block_born, coarse.cells, coarse.cell_m,
                 settings.plane_thickness_m, use_fine, planes,
             )  # fmt: skip
-            searched_at = state
+            searched_at = seen
             searches += 1
         matched = matching_kernels.accumulate(
-            points_imu, chosen, planes, state.vector, gate, settings.range_sigma_m**2,
+            points_imu, chosen, planes, seen.vector, gate, settings.range_sigma_m**2,
             float(np.radians(settings.angle_sigma_deg)) ** 2, settings.map_sigma_m**2, A, b, statistics,
         )  # fmt: skip
         if matched < settings.min_effective_points:
@@ -77,13 +84,13 @@ def register(
         )
         inner = np.linalg.inv(np.eye(6) + kept_A @ E.T @ prior @ E)
         error = prior @ E @ inner @ (kept_b + kept_A @ E.T @ error)
-        previous, state = state, predicted.plus(error)
+        previous, seen = seen, predicted.plus(np.concatenate([E.T @ error, np.zeros(12)]))
         iterations += 1
-        settled = displacement_m(previous, state) < registration_kernels.SMALL_STEP_M
+        settled = displacement_m(previous, seen) < registration_kernels.SMALL_STEP_M
         if use_fine and settled:
             break
         if not use_fine and (settled or iterations >= registration_kernels.COARSE_ITERATIONS):
-            use_fine, searched_at, gate = True, None, np.ascontiguousarray(prior[:6, :6]) / spread**2
+            use_fine, searched_at, gate = True, None, shown_prior / spread**2
     rms = np.sqrt(statistics[3] / max(matched, 1))
     accepted = (
         matched >= settings.min_effective_points
@@ -91,9 +98,13 @@ def register(
         and bool(rms < registration_kernels.WORST_NORMALISED_RMS)
     )
     if accepted:
+        state = predicted.plus(error)
         inner = np.linalg.inv(np.eye(6) + kept_A @ E.T @ prior @ E)
-        state.covariance[:] = prior - prior @ E @ inner @ kept_A @ E.T @ prior
-    return Expected(state if accepted else predicted, accepted, matched, iterations, searches, shares)
+        remaining = prior - prior @ E @ inner @ kept_A @ E.T @ prior
+        state.covariance[:] = remaining + view.unseen
+        gain = E.T @ remaining @ E
+    final = state if accepted else predicted
+    return Expected(final, accepted, matched, iterations, searches, shares, seen.vector, gain)
 
 
 def spread_m(covariance: FloatArray) -> float:

@@ -9,6 +9,7 @@ from companion.perception.odometry.state import NavigationState
 from companion.perception.odometry.update import Correction
 
 SIGMAS = np.array([1e-3] * 3 + [1e-4] * 3)
+GAIN = np.diag(SIGMAS**2)
 INFORMATION = np.diag(1.0 / SIGMAS**2)
 
 
@@ -22,9 +23,18 @@ def _state(p_map: tuple[float, float, float] = (0.0, 0.0, 0.0), yaw: float = 0.0
     return NavigationState(0, vector, covariance)
 
 
-def _correction(state: NavigationState, information: FloatArray = INFORMATION) -> Correction:
+def _correction(
+    state: NavigationState, information: FloatArray = INFORMATION, rms: float = 1.0
+) -> Correction:
     _, _, observability = keep_observed(information, np.zeros(6), 100.0, 100.0, 0.0)
-    return Correction(state, True, 100, 100, 100, 0.01, 1.0, observability, False, 1, 1)
+    return Correction(state, True, 100, 100, 100, 0.01, rms, observability, False, 1, 1, state.vector, GAIN)
+
+
+def _settled(correlation: float) -> Anchor:
+    """An anchor that has seen residuals scatter as assumed for so long that its factor is settled."""
+    anchor = Anchor(correlation)
+    anchor.correlation = correlation
+    return anchor
 
 
 def _match(anchor: Anchor, shares: dict[int, float], state: NavigationState, birth: int) -> None:
@@ -42,22 +52,32 @@ def _sigma_m(anchor: Anchor) -> float:
 
 
 def test_ground_seen_from_the_start_stays_as_certain_as_the_start() -> None:
-    anchor = Anchor(1.0)
+    anchor = _settled(1.0)
     for birth in range(2, 200):
         _match(anchor, {0: 1.0}, _state(), birth)
     np.testing.assert_array_equal(anchor.covariance, 0.0)
 
 
 def test_every_new_stretch_adds_one_more_matching_error() -> None:
-    anchor = Anchor(2.0)
+    anchor = _settled(2.0)
     _match(anchor, {0: 1.0}, _state(), 2)
     for stretch in range(1, 11):
         _match(anchor, {stretch: 1.0}, _state(), stretch + 2)
         np.testing.assert_allclose(np.diag(anchor.covariance)[:3], 2.0 * stretch * SIGMAS[:3] ** 2)
 
 
+def test_residuals_that_scatter_more_make_every_match_less_certain() -> None:
+    anchor = Anchor(4.0)
+    quiet = anchor.correlation
+    for rms, expected in ((0.3, quiet), (1.5, 4.0 * 1.5**2)):
+        for _ in range(100):
+            anchor.information[0], anchor.weights[0] = INFORMATION, 1.0
+            anchor.follow(_correction(_state(), rms=rms), 2)
+        assert anchor.correlation == pytest.approx(expected, rel=1e-3)
+
+
 def test_coming_back_to_the_start_takes_the_sum_away() -> None:
-    anchor = Anchor(1.0)
+    anchor = _settled(1.0)
     _match(anchor, {0: 1.0}, _state(), 2)
     for stretch in range(1, 11):
         _match(anchor, {stretch: 1.0}, _state(), stretch + 2)
@@ -67,7 +87,7 @@ def test_coming_back_to_the_start_takes_the_sum_away() -> None:
 
 
 def test_an_uncertain_heading_weighs_with_the_distance_from_where_it_arose() -> None:
-    anchor = Anchor(1.0)
+    anchor = _settled(1.0)
     _match(anchor, {0: 1.0}, _state((0.0, 0.0, 0.0)), 2)
     _match(anchor, {1: 1.0}, _state((100.0, 0.0, 0.0), yaw=1.0), 3)
     x = np.array([100.0, 0.0, 0.0])
@@ -78,7 +98,7 @@ def test_an_uncertain_heading_weighs_with_the_distance_from_where_it_arose() -> 
 
 
 def test_a_weak_scan_moves_only_part_of_the_way_to_the_ground_it_matches() -> None:
-    anchor = Anchor(1.0)
+    anchor = _settled(1.0)
     _match(anchor, {0: 1.0}, _state(), 2)
     anchor.information[:] = 0.0
     anchor.weights[:] = 0.0
@@ -97,7 +117,7 @@ def test_what_is_not_observed_inherits_nothing() -> None:
 
 
 def test_gravity_becomes_less_certain_as_the_map_tilts() -> None:
-    anchor = Anchor(1.0)
+    anchor = _settled(1.0)
     _match(anchor, {0: 1.0}, _state(), 2)
     state = _state()
     _match(anchor, {1: 1.0}, state, 3)
@@ -105,7 +125,7 @@ def test_gravity_becomes_less_certain_as_the_map_tilts() -> None:
 
 
 def test_the_number_of_periods_is_bounded_and_the_start_is_never_given_up() -> None:
-    anchor = Anchor(1.0)
+    anchor = _settled(1.0)
     rng = np.random.default_rng(0)
     _match(anchor, {0: 1.0}, _state(), 2)
     for birth in range(3, 400):
@@ -122,7 +142,7 @@ def test_the_number_of_periods_is_bounded_and_the_start_is_never_given_up() -> N
 
 
 def test_after_a_restart_the_present_pose_is_the_origin() -> None:
-    anchor = Anchor(1.0)
+    anchor = _settled(1.0)
     _match(anchor, {0: 1.0}, _state(), 2)
     _match(anchor, {1: 1.0}, _state(), 3)
     anchor.restart()
@@ -135,7 +155,7 @@ def test_errors_of_a_pose_and_twists_of_the_map_displace_points_alike() -> None:
     state = _state((3.0, -2.0, 1.0), yaw=0.8)
     error = rng.normal(0.0, 1e-5, 6)
     x_imu = rng.normal(0.0, 5.0, 3)
-    twist = twist_of_pose(state) @ error
+    twist = twist_of_pose(state.vector) @ error
     turned = rotation.rotate(rotation.exp(error[3:]), x_imu)
     moved = state.p_map + error[:3] + state.R_map_imu @ turned
     before = state.p_map + state.R_map_imu @ x_imu

@@ -13,7 +13,6 @@ NO_FLOORS = OdometrySettings(
     position_sigma_floor_m=0.0,
     rotation_sigma_floor_deg=0.0,
     velocity_sigma_floor=0.0,
-    residual_correlation=1.0,
 )
 CERTAIN = np.zeros((6, 6))
 T_IMU_BODY = Pose.of([-0.3, 0.2, -0.1], rotation.exp([0.1, -0.4, 0.7]))
@@ -34,10 +33,13 @@ def _state() -> NavigationState:
 
 
 def _odometry(
-    state: NavigationState, settings: OdometrySettings = NO_FLOORS, anchored: FloatArray = CERTAIN
+    state: NavigationState,
+    settings: OdometrySettings = NO_FLOORS,
+    anchored: FloatArray = CERTAIN,
+    correlation: float = 1.0,
 ) -> Odometry:
     mounting = Mounting(T_IMU_BODY, settings)
-    return body_odometry(state, anchored, GYRO - state.gyro_bias, mounting, 11, 2, HEALTH)
+    return body_odometry(state, anchored, correlation, GYRO - state.gyro_bias, mounting, 11, 2, HEALTH)
 
 
 def _level(state: NavigationState) -> Pose:
@@ -120,13 +122,14 @@ def test_correlated_residuals_widen_the_pose_and_leave_gravity_alone() -> None:
     keep = np.zeros((18, 18))
     keep[:6, :6] = state.covariance[:6, :6]
     state.covariance[:] = keep
-    wide = NO_FLOORS.model_copy(update={"residual_correlation": 3.0})
+    wide = _odometry(state, correlation=3.0)
     np.testing.assert_allclose(
-        _odometry(state, wide).covariance_pose, 3.0 * _odometry(state).covariance_pose, rtol=1e-9, atol=1e-15
+        wide.covariance_pose, 3.0 * _odometry(state).covariance_pose, rtol=1e-9, atol=1e-15
     )
     state.covariance[:] = 0.0
     state.covariance[15:, 15:] = np.diag([1e-4, 1e-4, 1e-4])
-    np.testing.assert_array_equal(_odometry(state, wide).covariance_pose, _odometry(state).covariance_pose)
+    wide = _odometry(state, correlation=3.0)
+    np.testing.assert_array_equal(wide.covariance_pose, _odometry(state).covariance_pose)
 
 
 @pytest.mark.parametrize("g_map", [[0.0, 0.0, -9.8], [1.0, -2.0, -9.0], [9.8, 0.0, 0.0], [0.3, 0.1, 9.7]])

@@ -31,8 +31,13 @@ def _observability(weak: list[int]) -> Observability:
     return Observability(np.where(kept, 0.2, 0.001), np.eye(6), 5.0, kept)
 
 
+GAIN = np.eye(6) * 1e-6
+
+
 def _correction(state: NavigationState) -> Correction:
-    return Correction(state, True, 2500, 2450, 2420, 0.02, 0.7, _observability([]), False, 2, 2)
+    return Correction(
+        state, True, 2500, 2450, 2420, 0.02, 0.7, _observability([]), False, 2, 2, state.vector, GAIN
+    )
 
 
 def _quality(monitor: HealthMonitor, correction: Correction) -> int:

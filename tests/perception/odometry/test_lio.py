@@ -46,8 +46,8 @@ def test_a_flight_between_pillars_is_tracked_within_a_centimetre(
 ) -> None:
     poses = errors(field_flight, [scan.odometry for scan in field_outcome.scans])
     ape = trajectory_error.absolute_error(*poses)
-    assert ape.rmse_m < 0.01
-    assert ape.rotation_rmse_deg < 0.1
+    assert ape.rmse_m < 0.005
+    assert ape.rotation_rmse_deg < 0.15  # the start leans by this much and is levelled on the way
     assert trajectory_error.drift_percent(*poses) < 0.4  # tilt at the start weighs most on 14 m
 
 
@@ -149,8 +149,8 @@ def test_the_published_covariance_covers_the_error(
                 turn[i] @ np.linalg.solve(entry.covariance_pose[3:, 3:], turn[i]),
             )
         )
-    assert np.all(np.mean(nees, axis=0) < 4.5)
-    assert np.all(np.max(nees, axis=0) < 25.0)
+    assert np.all(np.mean(nees, axis=0) < 6.0)
+    assert np.all(np.percentile(nees, 95, axis=0) < 12.0)
 
 
 def test_gravity_in_the_map_is_estimated_within_its_uncertainty(

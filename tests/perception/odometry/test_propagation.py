@@ -82,6 +82,44 @@ def test_a_way_through_the_history_agrees_with_its_readable_stretch(start_ms: in
     np.testing.assert_allclose(propagation.segments, segments, atol=1e-12)
 
 
+def test_what_came_too_late_for_a_scan_is_what_the_last_third_of_its_way_added() -> None:
+    history = _history(np.random.default_rng(2), [5 * k for k in range(30)])
+    propagation, state = Propagation(SETTINGS), _state(20 * MS)
+    propagation.advance(state, history, 120 * MS, 20 * MS)
+    offsets_ns = np.linspace(0, 100 * MS, 1001).astype(np.int32)
+    view = propagation.view(state, history, 100 * MS, offsets_ns)
+    assert view.lag_s == pytest.approx(0.05)
+    # White noise of the rate: a third of the variance that the whole way added to the attitude.
+    whole = float(np.trace(state.covariance[3:6, 3:6])) - 3e-4 - 3e-4 * 0.1**2
+    assert float(np.trace(view.unseen[3:6, 3:6])) == pytest.approx(whole / 3.0, rel=0.02)
+    assert float(np.linalg.eigvalsh(state.covariance - view.unseen)[0]) > 0.0
+
+
+def _after(state: NavigationState, v_step: float, taken: float) -> NavigationState:
+    corrected = state.copy()
+    corrected.v_map[0] += v_step
+    corrected.covariance[6:9, 6:9] -= np.eye(3) * taken / 3.0
+    return corrected
+
+
+@pytest.mark.parametrize(("factor", "expected"), [(1.0, 1.0), (3.0, 9.0), (0.1, 0.4)])
+def test_noise_grows_and_shrinks_until_it_explains_what_scans_correct(factor: float, expected: float) -> None:
+    propagation, state = Propagation(SETTINGS), _state(0)
+    for _ in range(300):
+        propagation.learn(state, _after(state, factor * 0.005, 0.005**2))
+    assert propagation.excess[1] == pytest.approx(expected, rel=0.02)
+
+
+def test_noise_grows_within_a_second_and_shrinks_over_several() -> None:
+    propagation, state = Propagation(SETTINGS), _state(0)
+    for _ in range(10):
+        propagation.learn(state, _after(state, 4.0 * 0.005, 0.005**2))
+    assert propagation.excess[1] > 8.0
+    for _ in range(10):
+        propagation.learn(state, _after(state, 0.5 * 0.005, 0.005**2))
+    assert propagation.excess[1] > 2.0
+
+
 def test_no_time_moves_nothing() -> None:
     state = _state(50 * MS)
     before = state.copy()

@@ -10,7 +10,7 @@ from companion.messages import FloatArray
 from companion.perception.odometry import registration_kernels as kernels
 from companion.perception.odometry.settings import OdometrySettings
 from companion.perception.odometry.state import NavigationState
-from companion.perception.odometry.update import ScanMatcher
+from companion.perception.odometry.update import ScanMatcher, View
 from companion.perception.odometry.voxel_map import VoxelMap
 from tests.perception.odometry import registration_oracle as oracle
 
@@ -43,13 +43,14 @@ def prediction(rng: np.random.Generator, sigma_p: float, sigma_theta: float) -> 
     return NavigationState(0, vector, np.outer(sigmas, sigmas) * (root @ root.T))
 
 
+@pytest.mark.parametrize("lag_s", [0.0, 0.05])
 @pytest.mark.parametrize(
     ("surface", "sigma_p", "sigma_theta"),
     [(room, 0.02, 1e-3), (room, 0.3, 0.02), (corridor, 0.05, 2e-3), (corridor, 0.4, 0.03)],
     ids=["near", "far off, coarse planes first", "unobserved along", "unobserved along, far off"],
 )
 def test_the_compiled_update_equals_the_one_with_full_matrices(
-    surface: Surface, sigma_p: float, sigma_theta: float
+    surface: Surface, sigma_p: float, sigma_theta: float, lag_s: float
 ) -> None:
     rng = np.random.default_rng(4)
     fine, coarse = VoxelMap(SETTINGS.fine_cell_m, 16_384, 100.0), VoxelMap(0.6, 8192, 100.0)
@@ -60,8 +61,10 @@ def test_the_compiled_update_equals_the_one_with_full_matrices(
     offset = sigma_p * np.array([0.5, -0.6, 0.4])
     scan = np.ascontiguousarray((surface(rng, 1500) - offset) @ predicted.R_map_imu)
     chosen = np.arange(1500)
-    expected = oracle.register(predicted, scan, chosen, fine, coarse, SETTINGS)
-    found = ScanMatcher(SETTINGS, fine, coarse).correct(predicted, scan, chosen)
+    # A tenth of the prediction's own covariance stands for what came too late.
+    view = View(lag_s, 2.0 * lag_s * predicted.covariance)
+    expected = oracle.register(predicted, scan, chosen, fine, coarse, SETTINGS, view)
+    found = ScanMatcher(SETTINGS, fine, coarse).correct(predicted, scan, chosen, view)
     assert expected.accepted
     assert found.accepted
     assert (found.matched, found.iterations) == (expected.matched, expected.iterations)
@@ -70,6 +73,38 @@ def test_the_compiled_update_equals_the_one_with_full_matrices(
     np.testing.assert_allclose(found.observability.shares, expected.shares, rtol=1e-7, atol=1e-12)
     np.testing.assert_allclose(found.state.vector, expected.state.vector, atol=1e-9)
     np.testing.assert_allclose(found.state.covariance, expected.state.covariance, atol=1e-10)
+    np.testing.assert_allclose(found.seen[:12], expected.seen[:12], atol=1e-9)
+    np.testing.assert_allclose(found.gain, expected.gain, atol=1e-10)
+
+
+def test_a_scan_that_was_deskewed_with_a_wrong_velocity_corrects_the_velocity() -> None:
+    rng = np.random.default_rng(5)
+    fine, coarse = VoxelMap(SETTINGS.fine_cell_m, 16_384, 100.0), VoxelMap(0.6, 8192, 100.0)
+    pose = np.concatenate([np.zeros(3), np.eye(3).ravel()])
+    for cells in (fine, coarse):
+        cells.insert(room(rng, 60_000), pose, 100.0)
+    vector = np.zeros(24)
+    vector[3:12] = np.eye(3).ravel()
+    vector[23] = -9.81
+    # The true velocity is zero; 0.4 m/s are believed, for the 0.1 s since the last scan.
+    believed = np.array([0.4, 0.0, 0.0])
+    vector[0:3], vector[12:15] = 0.1 * believed, believed
+    covariance = np.diag([1e-6] * 3 + [1e-8] * 3 + [0.25] * 3 + [1e-8] * 9)
+    covariance[0:3, 0:3] += 0.01 * covariance[6:9, 6:9]
+    covariance[0:3, 6:9] = covariance[6:9, 0:3] = 0.1 * covariance[6:9, 6:9]
+    predicted = NavigationState(0, vector, covariance)
+    age_s = rng.uniform(0.0, 0.1, 2500)
+    # De-skewing moves each point by what the vehicle is believed to have gone since.
+    scan = room(rng, 2500) - age_s[:, None] * believed
+    matcher = ScanMatcher(SETTINGS, fine, coarse)
+    found = matcher.correct(predicted, scan, np.arange(2500), View(float(age_s.mean()), np.zeros((18, 18))))
+    late = matcher.correct(predicted, scan, np.arange(2500))
+    assert found.accepted
+    assert float(np.linalg.norm(found.state.v_map)) < 0.03
+    assert float(np.linalg.norm(found.state.p_map)) < 0.004
+    assert float(np.linalg.norm(late.state.p_map)) > 0.015
+    # The points lie on the map where they were seen, half a way behind what was believed of the end.
+    np.testing.assert_allclose(found.seen[:3], 0.05 * believed, atol=0.004)
 
 
 def test_well_observed_equations_pass_unchanged() -> None:

@@ -146,5 +146,6 @@ def test_a_shifted_prediction_takes_its_velocity_along() -> None:
     np.testing.assert_allclose(moved.v_map, [0.36 * shift.p_map[0], 0.0, 0.0], atol=1e-6)
     np.testing.assert_allclose(np.sqrt(np.diagonal(moved.covariance)[:6]), [0.1] * 3 + [0.01] * 3, atol=1e-6)
     assert float(np.linalg.eigvalsh(moved.covariance)[0]) > -1e-12
-    back = shift_of(predicted, Correction(moved, True, 1, 1, 1, 0.0, 0.0, None, False, 1, 1))
+    correction = Correction(moved, True, 1, 1, 1, 0.0, 0.0, None, False, 1, 1, moved.vector, np.eye(6))
+    back = shift_of(predicted, correction)
     np.testing.assert_allclose(back.p_map, shift.p_map, atol=1e-9)
