@@ -155,7 +155,7 @@ class TrackingSettings(Settings):
     moved_updates: int = Field(default=5, ge=1, le=100)
     """Observations that it takes to prove motion."""
     moved_sigmas: float = Field(default=5.0, ge=0.0, le=50.0)
-    """Distance and speed must be so many of their standard deviations."""
+    """The distance must be so many of its standard deviations."""
     surroundings_m: float = Field(default=0.4, gt=0.0, le=2.0)
     """How far below and above a body solid things count as attached to it..."""
     beside_m: float = Field(default=0.25, gt=0.0, le=2.0)

@@ -29,7 +29,8 @@ _MOST_WEIGHT = 2.0  # of each of them
 _LEAST_EXPECTED, _MOST_EXPECTED = 0.5, 1.5  # points at a foot
 _BY_SIZE = 0.5  # evidence, where no foot could be seen, of a body that is seen well and stands alone
 _CLUTTER = 0.02  # points that seem attached to what floats, and the same for each point on the body
-_ENOUGH_POINTS = 5.0
+_SPEED_SIGMAS = 1.5  # the way it went is the proof; its speed need only agree
+_ENOUGH_POINTS = 5.0  # to judge the share of bright ones
 _RETURNS = 0.7  # share of the beams at a foot that return
 _FOOT_STEPS = 8
 
@@ -180,7 +181,7 @@ class Proof:
         sigma_v = math.sqrt(float(np.trace(motion.covariance[3:, 3:])))
         return (
             far > max(settings.moved_m, settings.moved_sigmas * sigma_p)
-            and fast > max(settings.min_moving_speed, settings.moved_sigmas * sigma_v)
+            and fast > max(settings.min_moving_speed, _SPEED_SIGMAS * sigma_v)
             and float(way @ v) > 0.0
         )
 
