@@ -12,7 +12,10 @@ _POSITION_FLOOR_M = 0.002  # what a map of noisy points is off by, beyond what t
 _ROTATION_FLOOR = 3.5e-4  # rad; 0.02 degrees
 _SCALE_ERROR = 0.005  # of a chip's axes
 _COHERENT = 0.2  # of shaking that adds up over a scan instead of averaging out
-_HARD_SHAKING = 1.0  # m/s^2; beyond it rotor tones that fold to low frequencies dominate
+_HARD_SHAKING = 1.0  # m/s^2; beyond it rotor tones that fold to low frequencies dominate,
+_HARD_TURNING = 0.02  # rad/s, the same,
+_FOLDED_FORCE = 1.5  # and this much of what lies beyond adds up,
+_FOLDED_RATE = 0.5  # or this much
 _MISSING_AFTER = 1.5  # of the usual interval
 
 
@@ -52,9 +55,11 @@ def innovate(
                     squares[axis] += 0.5 * step * step / (count - 1)
         shaking = np.sqrt(max(squares[0], squares[1], squares[2]))
         rate = np.sqrt(max(squares[3], squares[4], squares[5]))
-        adding_up = (_COHERENT + missing_s / passed_s) * shaking + max(0.0, shaking - _HARD_SHAKING)
+        adding_up = (_COHERENT + missing_s / passed_s) * shaking + _FOLDED_FORCE * max(
+            0.0, shaking - _HARD_SHAKING
+        )
         position_m += adding_up * passed_s * passed_s
-        angle += _COHERENT * rate * passed_s
+        angle += (_COHERENT * rate + _FOLDED_RATE * max(0.0, rate - _HARD_TURNING)) * passed_s
         angle += _SCALE_ERROR * np.sqrt(turn[0] ** 2 + turn[1] ** 2 + turn[2] ** 2)
     e = np.zeros(6)
     for axis in range(3):

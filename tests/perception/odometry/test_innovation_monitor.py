@@ -87,7 +87,7 @@ def test_the_kernel_whitens_as_its_readable_form() -> None:
         innovate(predicted.vector, _corrected(e).vector, predicted.covariance, way, result)
         steps = np.diff(way[:-1, 16:22], axis=0)
         shaking = np.sqrt(0.5 * np.mean(steps**2, axis=0))
-        position_m = 0.002 + (0.2 * shaking[:3].max() + shaking[:3].max() - 1.0) * 0.01
+        position_m = 0.002 + (0.2 * shaking[:3].max() + 1.5 * (shaking[:3].max() - 1.0)) * 0.01
         angle = 3.5e-4 + 0.2 * shaking[3:].max() * 0.1 + 0.005 * 0.04
         S = predicted.covariance[:6, :6] + np.diag([position_m**2] * 3 + [angle**2] * 3)
         np.testing.assert_allclose(result[:6], np.linalg.solve(np.linalg.cholesky(S), e), rtol=1e-6)
