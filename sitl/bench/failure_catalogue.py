@@ -1,8 +1,8 @@
 """Failures of sensors and mounts, injected into the events of a clean flight.
 
 Each takes what the sensors reported from the moment of failure on and returns what a failed one would
-have reported. Magnitudes are such that the pose would be wrong by more than 5 cm within a second if
-nobody noticed; smaller ones do no harm and are no failures.
+have reported. Magnitudes are such that they matter: of the steps of bias most put the pose wrong by more
+than 5 cm within a second if nobody notices. Smaller ones exist that do harm more slowly; they are not here.
 """
 
 from collections.abc import Callable, Sequence
