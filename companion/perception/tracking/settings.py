@@ -105,7 +105,7 @@ class TrackingSettings(Settings):
 
     point_sigma_m: float = Field(default=0.056, gt=0.0, le=1.0)
     """How far points on a body scatter about where its model has their mean, on each axis."""
-    shape_sigma_m: float = Field(default=0.016, ge=0.0, le=0.5)
+    shape_sigma_m: float = Field(default=0.01, ge=0.0, le=0.5)
     """How far that mean may be off, whatever the number of points, along the beam and upwards; half as
     much across."""
     ego_position_sigma_m: float = Field(default=0.005, ge=0.0, le=0.5)
@@ -115,9 +115,9 @@ class TrackingSettings(Settings):
     """The same for the own attitude."""
     degraded_factor: float = Field(default=4.0, ge=1.0, le=100.0)
     """Multiplies both while the odometry is degraded."""
-    acceleration_sigma: float = Field(default=0.9, ge=0.0, le=50.0)
+    acceleration_sigma: float = Field(default=0.7, ge=0.0, le=50.0)
     """Standard deviation of each axis of a neighbour's acceleration, m/s^2..."""
-    acceleration_fading_s: float = Field(default=1.0, ge=0.0, le=20.0)
+    acceleration_fading_s: float = Field(default=0.9, ge=0.0, le=20.0)
     """...and for how long it lasts; 0 for plain constant velocity with white acceleration."""
     lost_fading_s: float = Field(default=1.5, gt=0.0, le=100.0)
     """How long a lost neighbour is believed to go on as it went..."""

@@ -194,6 +194,8 @@ def test_equal_scans_give_equal_tracks_and_an_old_scan_changes_nothing() -> None
 def test_the_published_method_finds_near_uavs_and_believes_tape_on_a_post() -> None:
     tracker = NeighbourTracker(TrackingSettings.literal())
     results = follow([Uav((2.5, 0.0, 1.6)), Post(3.0, 3.0, width_m=0.2)], 20, tracker)
-    places = [track.p_map for track in validated(results[-1])]
-    assert any(np.linalg.norm(p - [2.5, 0.0, 1.6]) < 0.2 for p in places)
-    assert any(np.linalg.norm(p[:2] - 3.0) < 0.3 for p in places)
+    places = [[track.p_map for track in validated(tracks)] for tracks in results[5:]]
+    found = [any(np.linalg.norm(p - [2.5, 0.0, 1.6]) < 0.2 for p in now) for now in places]
+    fooled = [any(np.linalg.norm(p[:2] - 3.0) < 0.3 for p in now) for now in places]
+    assert np.mean(found) > 0.8
+    assert np.mean(fooled) > 0.5
