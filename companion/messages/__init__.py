@@ -1,6 +1,7 @@
 """What crosses the seams between modules: frozen values, times in integer nanoseconds.
 
-Frames: `map` is gravity aligned with z up, its origin and yaw where the odometry started; `body` is
+Frames: `map` has z up as the accelerometer felt it at rest (its bias makes the map lean by a few tenths of
+a degree, for good: the frame never turns), its origin and yaw where the odometry started; `body` is
 forward-left-up; `lidar` and `imu` are the sensor's point frame and its inertial chip (parallel axes).
 Two clocks exist. `t_ns` is the host's monotonic clock; `t_sensor_ns` is the LiDAR's own clock, which
 stamps points and IMU samples and is the only time used inside the odometry.

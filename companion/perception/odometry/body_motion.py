@@ -1,11 +1,11 @@
-"""From the IMU's motion in the filter's map to the body's in the levelled one."""
+"""From the IMU's motion to the body's: lever arms, covariances and their floors."""
 
 import numpy as np
 
 from companion.geometry import rotation
 from companion.geometry.pose import Pose
 from companion.messages import FloatArray, Odometry
-from companion.perception.odometry.body_motion_kernels import MOTION_SIZE, level, publish
+from companion.perception.odometry.body_motion_kernels import MOTION_SIZE, publish
 from companion.perception.odometry.health import Health
 from companion.perception.odometry.settings import OdometrySettings
 from companion.perception.odometry.state import NavigationState
@@ -19,11 +19,12 @@ def cross_matrix(v: FloatArray) -> FloatArray:
 
 
 class Mounting:
-    """Where the body is in the IMU frame, and the least that is said of its errors, for the kernel."""
+    """Where the body is in the IMU frame, and what is always said of its errors, for the kernel."""
 
     def __init__(self, T_imu_body: Pose, settings: OdometrySettings) -> None:
         """Take the body's pose in the IMU frame, and the floors of the settings."""
         self.p_imu_body = np.ascontiguousarray(T_imu_body.p, dtype=np.float64)
+        self.tilt_variance = (settings.initial_accel_bias_sigma / settings.gravity) ** 2
         self.R_imu_body = np.ascontiguousarray(rotation.to_matrix(T_imu_body.q))
         self.floors = np.square(
             [
@@ -44,7 +45,7 @@ def body_odometry(
     reset_counter: int,
     health: Health,
 ) -> Odometry:
-    """Return the motion of the body that carries the IMU, in the levelled map.
+    """Return the motion of the body that carries the IMU.
 
     Args:
         state: motion of the IMU and its covariance against the filter's own map.
@@ -66,6 +67,7 @@ def body_odometry(
         mounting.p_imu_body,
         mounting.R_imu_body,
         correlation,
+        mounting.tilt_variance,
         mounting.floors,
         motion,
         pose_covariance,
@@ -85,13 +87,6 @@ def body_odometry(
         status=health.status,
         reason=health.reason,
     )
-
-
-def level_rotation(state: NavigationState) -> FloatArray:
-    """Return R_level_map (3, 3), the smallest rotation that takes the state's gravity straight down."""
-    R_level_map = np.empty((3, 3))
-    level(state.g_map, R_level_map)
-    return R_level_map
 
 
 def no_odometry(t_ns: int, t_sensor_ns: int, reset_counter: int, health: Health) -> Odometry:

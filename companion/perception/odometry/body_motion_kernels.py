@@ -1,4 +1,4 @@
-"""Hot loop of publishing: from the IMU's motion in the map to the body's in the levelled one."""
+"""Hot loop of publishing: from the IMU's motion in the map to the body's."""
 
 import numpy as np
 
@@ -15,25 +15,6 @@ def cross_columns(v: FloatArray, row: FloatArray, result: FloatArray) -> None:
     result[0] = row[1] * v[2] - row[2] * v[1]
     result[1] = row[2] * v[0] - row[0] * v[2]
     result[2] = row[0] * v[1] - row[1] * v[0]
-
-
-@compiled("void(float64[::1], float64[:,::1])")
-def level(g_map: FloatArray, R_level_map: FloatArray) -> None:
-    """Find the smallest rotation that takes gravity straight down.
-
-    Args:
-        g_map: (3,) gravity, not zero and not straight up.
-        R_level_map: (3, 3) receives the rotation.
-    """
-    length = np.sqrt(g_map[0] ** 2 + g_map[1] ** 2 + g_map[2] ** 2)
-    ux, uy, uz = g_map[0] / length, g_map[1] / length, g_map[2] / length
-    # The axis u x (0, 0, -1) has the sine's length, and 1 + cosine = 1 - uz.
-    ax, ay = -uy, ux
-    scale = 1.0 / max(1.0 - uz, 1e-12)
-    R_level_map[0, 0], R_level_map[0, 1], R_level_map[0, 2] = 1.0 - scale * ay * ay, scale * ax * ay, ay
-    R_level_map[1, 0], R_level_map[1, 1], R_level_map[1, 2] = scale * ax * ay, 1.0 - scale * ax * ax, -ax
-    R_level_map[2, 0], R_level_map[2, 1] = -ay, ax
-    R_level_map[2, 2] = 1.0 - scale * (ax * ax + ay * ay)
 
 
 @inlined
@@ -60,7 +41,7 @@ def to_quaternion(R: FloatArray, q: FloatArray) -> None:
 
 @compiled(
     "void(float64[::1], float64[:,::1], float64[:,::1], float64[::1], float64[::1], float64[:,::1], float64,"
-    " float64[::1], float64[::1], float64[:,::1], float64[:,::1])"
+    " float64, float64[::1], float64[::1], float64[:,::1], float64[:,::1])"
 )
 def publish(
     state: FloatArray,
@@ -70,15 +51,18 @@ def publish(
     p_imu_body: FloatArray,
     R_imu_body: FloatArray,
     correlation: float,
+    tilt_variance: float,
     floors: FloatArray,
     motion: FloatArray,
     pose_covariance: FloatArray,
     velocity_covariance: FloatArray,
 ) -> None:
-    """Move motion and covariance from the IMU to the body and from the map to its levelled frame.
+    """Move motion and covariance from the IMU to the body.
 
     To the filter's error come the map's own: a twist (rho, phi) that displaces what lies at x by
-    rho + phi cross x, and with it attitude, velocity and gravity as the filter feels them.
+    rho + phi cross x, and with it attitude and velocity. One part of it grows where the map was built on
+    uncertain poses. The other was there from the start: at rest an accelerometer cannot tell its bias
+    from a tilt, so the map leans a little, and all it says leans with it.
 
     Args:
         state: (24,) see `kernels`.
@@ -88,97 +72,74 @@ def publish(
         p_imu_body: (3,) body in the IMU frame.
         R_imu_body: (3, 3) its axes.
         correlation: factor on the covariance of pose and velocity against the map.
+        tilt_variance: of the map's lean about each horizontal axis, rad^2.
         floors: (3,) smallest variances of position, rotation and velocity on each axis.
         motion: (13,) receives position, attitude, velocity and rate of the body.
-        pose_covariance: (6, 6) receives position in the levelled map, then rotation in the body.
-        velocity_covariance: (3, 3) receives that of the velocity in the levelled map.
+        pose_covariance: (6, 6) receives position in the map, then rotation in the body.
+        velocity_covariance: (3, 3) receives that of the velocity in the map.
     """
-    L, R_level_imu, R_level_body = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
-    level(state[21:24], L)
-    for i in range(3):
-        for j in range(3):
-            R_level_imu[i, j] = 0.0
-            for k in range(3):
-                R_level_imu[i, j] += L[i, k] * state[3 + 3 * k + j]
-    for i in range(3):
-        for j in range(3):
-            R_level_body[i, j] = 0.0
-            for k in range(3):
-                R_level_body[i, j] += R_level_imu[i, k] * R_imu_body[k, j]
+    R_map_imu = state[3:12].reshape(3, 3)
+    R_map_body = R_map_imu @ R_imu_body
     swing = np.empty(3)  # velocity of the body origin against the IMU
     swing[0] = omega_imu[1] * p_imu_body[2] - omega_imu[2] * p_imu_body[1]
     swing[1] = omega_imu[2] * p_imu_body[0] - omega_imu[0] * p_imu_body[2]
     swing[2] = omega_imu[0] * p_imu_body[1] - omega_imu[1] * p_imu_body[0]
     p, v = motion[0:3], motion[7:10]
     for i in range(3):
-        p[i], v[i], motion[10 + i] = 0.0, 0.0, 0.0
+        p[i], v[i], motion[10 + i] = state[i], state[12 + i], 0.0
         for k in range(3):
-            p[i] += L[i, k] * state[k] + R_level_imu[i, k] * p_imu_body[k]
-            v[i] += L[i, k] * state[12 + k] + R_level_imu[i, k] * swing[k]
+            p[i] += R_map_imu[i, k] * p_imu_body[k]
+            v[i] += R_map_imu[i, k] * swing[k]
             motion[10 + i] += R_imu_body[k, i] * omega_imu[k]
-    to_quaternion(R_level_body, motion[3:7])
+    to_quaternion(R_map_body, motion[3:7])
 
-    # Derivatives of (p, theta, v) of the body by the filter's 18 errors.
-    J = np.zeros((9, 18))
+    # Derivatives of (p, theta, v) of the body by the filter's errors of pose, velocity and gyro bias.
+    J = np.zeros((9, 12))
     part = np.empty(3)
-    length = np.sqrt(state[21] ** 2 + state[22] ** 2 + state[23] ** 2)
     for i in range(3):
-        J[i, 0:3] = L[i]
-        J[6 + i, 6:9] = L[i]
-        cross_columns(p_imu_body, R_level_imu[i], part)
+        J[i, i] = 1.0
+        J[6 + i, 6 + i] = 1.0
+        cross_columns(p_imu_body, R_map_imu[i], part)
         for j in range(3):
             J[i, 3 + j] = -part[j]
             J[6 + i, 9 + j] = part[j]
             J[3 + i, 3 + j] = R_imu_body[j, i]
-        cross_columns(swing, R_level_imu[i], part)
+        cross_columns(swing, R_map_imu[i], part)
         for j in range(3):
             J[6 + i, 3 + j] = -part[j]
-    # An error d of gravity turns the levelled frame by phi = (-d_y, d_x, z) / g, and about the vertical by
-    # what keeps the rotation the smallest.
-    lean_x, lean_y = -state[22] / (length - state[23]), state[21] / (length - state[23])
-    for j in range(3):
-        x, y = -L[1, j] / length, L[0, j] / length
-        z = lean_x * y - lean_y * x
-        for i in range(3):
-            J[3 + i, 15 + j] = R_level_body[0, i] * x + R_level_body[1, i] * y + R_level_body[2, i] * z
-        for row, r in ((0, p), (6, v)):
-            J[row, 15 + j] = y * r[2] - z * r[1]
-            J[row + 1, 15 + j] = z * r[0] - x * r[2]
-            J[row + 2, 15 + j] = x * r[1] - y * r[0]
-
-    # The filter's errors by the map's twist.
-    E = np.zeros((18, 6))
+    # Derivatives by a twist of the map.
+    E = np.zeros((9, 6))
     for i in range(3):
         E[i, i] = 1.0
         for j in range(3):
-            E[3 + i, 3 + j] = state[3 + 3 * j + i]
-    for block, first in ((0, 0), (6, 12), (15, 21)):
-        x, y, z = state[first], state[first + 1], state[first + 2]
-        E[block, 4], E[block, 5] = z, -y
-        E[block + 1, 3], E[block + 1, 5] = -z, x
-        E[block + 2, 3], E[block + 2, 4] = y, -x
+            E[3 + i, 3 + j] = R_map_body[j, i]
+    for row, r in ((0, p), (6, v)):
+        E[row, 4], E[row, 5] = r[2], -r[1]
+        E[row + 1, 3], E[row + 1, 5] = -r[2], r[0]
+        E[row + 2, 3], E[row + 2, 4] = r[1], -r[0]
+    twist = anchored.copy()
+    twist[3, 3] += tilt_variance
+    twist[4, 4] += tilt_variance
 
     total = np.zeros((9, 9))
-    product, scaled = np.empty(18), np.empty(6)
+    product, scaled = np.empty(12), np.empty(6)
     for i in range(9):
-        for j in range(18):
+        for j in range(12):
             product[j] = 0.0
-            for k in range(18):
+            for k in range(12):
                 if J[i, k] != 0.0:
                     factor = correlation if j < 9 and k < 9 else 1.0
                     product[j] += J[i, k] * factor * covariance[k, j]
         for k in range(9):
-            for j in range(18):
+            for j in range(12):
                 total[i, k] += product[j] * J[k, j]
-    JE = J @ E
-    for i in range(9):
         for j in range(6):
             scaled[j] = 0.0
             for k in range(6):
-                scaled[j] += JE[i, k] * anchored[k, j]
+                scaled[j] += E[i, k] * twist[k, j]
         for k in range(9):
             for j in range(6):
-                total[i, k] += scaled[j] * JE[k, j]
+                total[i, k] += scaled[j] * E[k, j]
     for i in range(6):
         for j in range(6):
             pose_covariance[i, j] = 0.5 * (total[i, j] + total[j, i])

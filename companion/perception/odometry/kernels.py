@@ -218,8 +218,9 @@ def integrate(
         start_ns: time of the state.
         end_ns: time to reach, later.
         origin_ns: zero of the times in `segments`.
-        noise: (9,) squared densities of rate, force and their biases' walks; squared rate and force that
-            may go unseen in a gap; the same for suspect samples; the shortest gap in seconds.
+        noise: (10,) squared densities of rate, force and their biases' walks; squared rate and force that
+            may go unseen in a gap; the same for suspect samples; the shortest gap in seconds; and the
+            squared density of rate that an unknown scale adds for each squared rad/s.
         shaking: (2,) squared densities that vibration showed last, kept up to date.
         excess: (2,) factors on both, learnt from what scans correct.
         segments: (>= n + 2, 22) as of `propagate`.
@@ -245,6 +246,8 @@ def integrate(
         dt = t_s[k + 1] - t_s[k]
         variances[k, 0] = max(noise[0], max(noise[0], shaking[0]) * excess[0])
         variances[k, 1] = max(noise[1], max(noise[1], shaking[1]) * excess[1])
+        turning = between[k, 0] ** 2 + between[k, 1] ** 2 + between[k, 2] ** 2
+        variances[k, 0] += noise[9] * turning / 3.0
         variances[k, 2], variances[k, 3] = noise[2], noise[3]
         if dt > noise[8]:
             variances[k, 0] += noise[4] * dt

@@ -25,7 +25,7 @@ from companion.messages import (
 )
 from companion.perception.odometry import kernels
 from companion.perception.odometry.anchor import Anchor
-from companion.perception.odometry.body_motion import Mounting, body_odometry, level_rotation, no_odometry
+from companion.perception.odometry.body_motion import Mounting, body_odometry, no_odometry
 from companion.perception.odometry.health import Concern, Health, HealthMonitor
 from companion.perception.odometry.initialisation import StaticInitialiser
 from companion.perception.odometry.preprocessing import MOST_POINTS, Thinning, nearest_first, usable_points
@@ -312,11 +312,9 @@ class LidarInertialOdometry:
     ) -> RegisteredScan:
         """Return the scan in the map with the body's motion at its end."""
         kept = nearest_first(points_imu, self._settings.registered_points)
-        state, seen, level = correction.state, correction.seen, level_rotation(correction.state)
-        R_level_imu = level @ seen[3:12].reshape(3, 3)
-        points_map: PointArray = (points_imu[kept] @ R_level_imu.T + level @ seen[:3]).astype(np.float32)
-        omega_imu = self._propagation.end_rate
-        odometry = self._odometry(state, omega_imu, health)
+        seen, omega_imu = correction.seen, self._propagation.end_rate
+        points_map: PointArray = (points_imu[kept] @ seen[3:12].reshape(3, 3).T + seen[:3]).astype(np.float32)
+        odometry = self._odometry(correction.state, omega_imu, health)
         return RegisteredScan(
             scan.t_ns, scan.sequence, points_map, reflectivity[kept], odometry, ages_ns[kept]
         )

@@ -10,6 +10,7 @@ from companion.perception.odometry.settings import OdometrySettings
 from companion.perception.odometry.state import ERROR_SIZE, STATE_SIZE, THETA, NavigationState, V
 from companion.perception.odometry.update import AT_ONCE, View
 
+_SCAN_S = 0.1  # an unknown scale adds a steady rate, which scans correct as often as this
 _UNSEEN_PART = 3
 _LEARNING = np.array([0.2, 0.02])  # weight of every scan: tones come in a second and go for tens
 _LEAST_EXCESS, _MOST_EXCESS = 0.4, 100.0
@@ -32,6 +33,7 @@ class Propagation:
                 settings.saturated_rate_sigma**2,
                 settings.saturated_accel_sigma**2,
                 _GAP_S,
+                settings.gyro_scale_sigma**2 * _SCAN_S,
             ]
         )
         self._shaking = np.zeros(2)

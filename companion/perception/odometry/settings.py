@@ -73,6 +73,8 @@ class OdometrySettings(Settings):
 
     gyro_noise: float = Field(default=2e-4, gt=0.0, le=0.1)
     """Density of the gyro's white noise, rad/s/sqrt(Hz); more is used while vibration shows more."""
+    gyro_scale_sigma: float = Field(default=0.003, ge=0.0, le=0.1)
+    """Standard deviation of the gyro's scale factors: how wrong a rate is that the bias does not explain."""
     accel_noise: float = Field(default=4e-3, gt=0.0, le=1.0)
     """Density of the accelerometer's white noise, m/s^2/sqrt(Hz)."""
     gyro_bias_walk: float = Field(default=2e-5, ge=0.0, le=0.01)
@@ -99,7 +101,8 @@ class OdometrySettings(Settings):
     still_displacement_m: float = Field(default=0.05, gt=0.0, le=1.0)
     """Largest displacement between the first and last scan of the window."""
     initial_accel_bias_sigma: float = Field(default=0.05, gt=0.0, le=1.0)
-    """Standard deviation of the accelerometer bias at start, m/s^2; sets how level the map is."""
+    """Standard deviation of the accelerometer bias at start, m/s^2; the map leans by as much
+    over gravity, and its covariance says so."""
 
     max_imu_gap_s: float = Field(default=0.6, ge=0.02, le=2.0)
     """A longer silence of the IMU restarts the odometry; a shorter one is bridged."""
@@ -132,7 +135,7 @@ class OdometrySettings(Settings):
     """After an outage of this length the place is searched and proven before it is used again."""
     search_s: float = Field(default=10.0, ge=0.5, le=60.0)
     """A lost odometry keeps its map and searches its place for this long before it waits for rest."""
-    residual_correlation: float = Field(default=4.3, ge=1.0, le=100.0)
+    residual_correlation: float = Field(default=3.2, ge=1.0, le=100.0)
     """How many times larger the variance of a matched motion is than if all residuals were independent, when
     they scatter as assumed: they share the map's errors, which do not average out."""
     position_sigma_floor_m: float = Field(default=5e-4, ge=0.0, le=1.0)

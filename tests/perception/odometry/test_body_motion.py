@@ -4,7 +4,7 @@ import pytest
 from companion.geometry import rotation
 from companion.geometry.pose import Pose
 from companion.messages import FloatArray, Odometry, OdometryStatus
-from companion.perception.odometry.body_motion import Mounting, body_odometry, level_rotation
+from companion.perception.odometry.body_motion import Mounting, body_odometry
 from companion.perception.odometry.health import Health
 from companion.perception.odometry.settings import OdometrySettings
 from companion.perception.odometry.state import NavigationState
@@ -37,26 +37,20 @@ def _odometry(
     settings: OdometrySettings = NO_FLOORS,
     anchored: FloatArray = CERTAIN,
     correlation: float = 1.0,
+    tilt_variance: float = 0.0,
 ) -> Odometry:
     mounting = Mounting(T_IMU_BODY, settings)
+    mounting.tilt_variance = tilt_variance
     return body_odometry(state, anchored, correlation, GYRO - state.gyro_bias, mounting, 11, 2, HEALTH)
-
-
-def _level(state: NavigationState) -> Pose:
-    """The smallest rotation that takes the state's gravity straight down, readably."""
-    down = state.g_map / np.linalg.norm(state.g_map)
-    axis = np.cross(down, [0.0, 0.0, -1.0])
-    sine = float(np.linalg.norm(axis))
-    return Pose.of(np.zeros(3), rotation.exp(axis * np.arctan2(sine, -down[2]) / sine))
 
 
 def test_the_body_is_where_the_mounting_puts_it() -> None:
     state = _state()
     odometry = _odometry(state)
     T_map_imu = Pose.of(state.p_map, rotation.from_matrix(state.R_map_imu))
-    T_level_body = _level(state) @ T_map_imu @ T_IMU_BODY
-    np.testing.assert_allclose(odometry.p_map, T_level_body.p, atol=1e-12)
-    assert float(rotation.angle_between(odometry.q_map_body, T_level_body.q)) < 1e-9
+    T_map_body = T_map_imu @ T_IMU_BODY
+    np.testing.assert_allclose(odometry.p_map, T_map_body.p, atol=1e-12)
+    assert float(rotation.angle_between(odometry.q_map_body, T_map_body.q)) < 1e-9
     assert (odometry.t_ns, odometry.t_sensor_ns, odometry.reset_counter, odometry.quality) == (11, 7, 2, 90)
 
 
@@ -93,7 +87,7 @@ def test_the_covariance_follows_the_numerical_jacobian() -> None:
     np.testing.assert_allclose(odometry.covariance_velocity, expected[6:, 6:], atol=1e-7)
 
 
-def test_a_twist_of_the_map_adds_what_it_does_to_pose_velocity_and_gravity() -> None:
+def test_a_twist_of_the_map_adds_what_it_does_to_pose_and_velocity() -> None:
     state = _state()
     state.covariance[:] = 0.0
     root = np.random.default_rng(2).normal(0.0, 0.02, (6, 6))
@@ -107,17 +101,14 @@ def test_a_twist_of_the_map_adds_what_it_does_to_pose_velocity_and_gravity() -> 
         moved.p_map[:] = rotation.rotate(turn, state.p_map) + twist[:3]
         moved.vector[3:12] = (rotation.to_matrix(turn) @ state.R_map_imu).ravel()
         moved.v_map[:] = rotation.rotate(turn, state.v_map)
-        moved.g_map[:] = rotation.rotate(turn, state.g_map)
         jacobian[:, i] = _difference(_odometry(moved), odometry) / 1e-6
     expected = jacobian @ root @ root.T @ jacobian.T
     twisted = _odometry(state, anchored=root @ root.T)
     np.testing.assert_allclose(twisted.covariance_pose, expected[:6, :6], atol=1e-6)
     np.testing.assert_allclose(twisted.covariance_velocity, expected[6:, 6:], atol=1e-6)
-    # A map that is turned about a level axis is levelled again: only its heading stays uncertain.
-    assert np.linalg.matrix_rank(twisted.covariance_pose[3:, 3:], tol=1e-5) == 1
 
 
-def test_correlated_residuals_widen_the_pose_and_leave_gravity_alone() -> None:
+def test_correlated_residuals_widen_the_pose() -> None:
     state = _state()
     keep = np.zeros((18, 18))
     keep[:6, :6] = state.covariance[:6, :6]
@@ -126,22 +117,24 @@ def test_correlated_residuals_widen_the_pose_and_leave_gravity_alone() -> None:
     np.testing.assert_allclose(
         wide.covariance_pose, 3.0 * _odometry(state).covariance_pose, rtol=1e-9, atol=1e-15
     )
-    state.covariance[:] = 0.0
-    state.covariance[15:, 15:] = np.diag([1e-4, 1e-4, 1e-4])
-    wide = _odometry(state, correlation=3.0)
-    np.testing.assert_array_equal(wide.covariance_pose, _odometry(state).covariance_pose)
 
 
-@pytest.mark.parametrize("g_map", [[0.0, 0.0, -9.8], [1.0, -2.0, -9.0], [9.8, 0.0, 0.0], [0.3, 0.1, 9.7]])
-def test_levelling_turns_gravity_down_by_the_smallest_rotation(g_map: list[float]) -> None:
+@pytest.mark.parametrize("distance_m", [0.0, 10.0, 40.0])
+def test_the_lean_of_the_map_weighs_the_more_the_farther_the_vehicle_has_gone(distance_m: float) -> None:
     state = _state()
-    state.g_map[:] = g_map
-    level = level_rotation(state)
-    length = float(np.linalg.norm(g_map))
-    np.testing.assert_allclose(level @ g_map, [0.0, 0.0, -length], atol=1e-9)
-    np.testing.assert_allclose(level @ level.T, np.eye(3), atol=1e-12)
-    angle = float(rotation.angle_between(rotation.IDENTITY, rotation.from_matrix(level)))
-    assert angle == pytest.approx(float(np.arccos(-g_map[2] / length)), abs=1e-6)
+    state.covariance[:] = 0.0
+    state.vector[0:3] = [distance_m, 0.0, 0.0]
+    state.vector[3:12] = np.eye(3).ravel()
+    lean = np.radians(0.3)
+    odometry = _odometry(state, tilt_variance=lean**2)
+    x, y, z = odometry.p_map
+    pose = np.sqrt(np.diag(odometry.covariance_pose))
+    np.testing.assert_allclose(pose[:3], lean * np.array([abs(z), abs(z), np.hypot(x, y)]), atol=1e-9)
+    # About the vertical the map does not lean.
+    turn = odometry.covariance_pose[3:, 3:]
+    up_body = rotation.rotate(rotation.conjugate(odometry.q_map_body), [0.0, 0.0, 1.0])
+    np.testing.assert_allclose(turn @ up_body, 0.0, atol=1e-12)
+    np.testing.assert_allclose(np.trace(turn), 2.0 * lean**2)
 
 
 def test_published_deviations_never_fall_below_their_floors() -> None:
@@ -163,10 +156,10 @@ def test_every_attitude_is_published_as_a_proper_quaternion(angle: float) -> Non
     for axis in np.eye(3):
         state = _state()
         state.vector[3:12] = rotation.to_matrix(rotation.exp(angle * axis)).ravel()
-        T_level_body = _level(state) @ Pose.of(np.zeros(3), rotation.exp(angle * axis)) @ T_IMU_BODY
+        T_map_body = Pose.of(np.zeros(3), rotation.exp(angle * axis)) @ T_IMU_BODY
         q = _odometry(state).q_map_body
         assert q[0] >= 0.0
-        assert float(rotation.angle_between(q, T_level_body.q)) < 1e-7
+        assert float(rotation.angle_between(q, T_map_body.q)) < 1e-7
 
 
 def test_a_moved_state_keeps_a_proper_attitude_and_the_length_of_gravity() -> None:

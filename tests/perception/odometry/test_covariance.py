@@ -61,20 +61,16 @@ def _time_s(event: ImuSample | LidarScan) -> float:
     return 1e-9 * (event.t_sensor_ns if isinstance(event, ImuSample) else event.t_sensor_end_ns)
 
 
-def test_a_tilt_that_is_not_yet_known_is_admitted_and_weighs_with_the_distance(
+def test_the_lean_of_the_map_is_admitted_and_weighs_with_the_distance(
     room_flight: SimulatedFlight, room_events: Events
 ) -> None:
     outcome = run(room_events)
     tilts = np.degrees([_sigmas(entry)[3:5].max() for entry in outcome.tracked])
-    assert tilts[0] > 0.25
-    assert tilts[-1] < 0.1
+    assert tilts.min() > 0.25
+    assert tilts.max() < 0.4
     _, q, _, q_true = errors(room_flight, outcome.tracked)
     lean = np.degrees(rotation.log(rotation.multiply(q, rotation.conjugate(q_true)))[:, :2])
     assert np.mean(np.abs(lean).max(axis=1) < 3.0 * tilts) > 0.95
-    # Before the vehicle turned, heights are as uncertain as the tilt makes them at that distance.
-    moving = [entry for entry in outcome.tracked if float(np.linalg.norm(entry.p_map[:2])) > 0.5]
-    for entry, tilt in zip(
-        moving[:5], tilts[[outcome.tracked.index(entry) for entry in moving[:5]]], strict=True
-    ):
+    for entry in outcome.tracked[::50]:
         distance_m = float(np.linalg.norm(entry.p_map[:2]))
-        assert float(_sigmas(entry)[2]) > 0.7 * distance_m * float(np.radians(tilt))
+        assert float(_sigmas(entry)[2]) >= distance_m * float(np.radians(0.25))

@@ -41,6 +41,7 @@ def _readable_noise(stretch: InertialStretch, shaking: FloatArray) -> FloatArray
             [SETTINGS.gyro_noise, SETTINGS.accel_noise, SETTINGS.gyro_bias_walk, SETTINGS.accel_bias_walk]
         )
         noise[k, :2] = np.maximum(noise[k, :2], shaking)
+        noise[k, 0] += (SETTINGS.gyro_scale_sigma * np.linalg.norm(stretch.inertial[k, :3])) ** 2 * 0.1 / 3.0
         if dt > 0.025:
             noise[k, :2] += np.square([SETTINGS.gap_rate_sigma, SETTINGS.gap_accel_sigma]) * dt
         if stretch.suspect[k]:
