@@ -1,17 +1,48 @@
 """Finds every numerical kernel of the product and makes it ready before flight."""
 
+import contextlib
+import hashlib
 import importlib
 import pkgutil
 from collections.abc import Callable
+from pathlib import Path
 
 import companion
 from companion.compiled import warm_up
+
+
+_STAMP = "kernels.sha256"
 
 
 def kernel_modules() -> list[str]:
     """Return the names of all modules that hold compiled kernels, by the naming rule of the house."""
     found = pkgutil.walk_packages(companion.__path__, f"{companion.__name__}.")
     return sorted(module.name for module in found if module.name.endswith("kernels"))
+
+
+def forget_stale_kernels(root: Path) -> bool:
+    """Delete compiled kernels below a folder if any kernel's source has changed since they were made.
+
+    Numba looks at the file of the kernel itself only; a function of another file that was compiled into it
+    may have changed as well.
+
+    Returns:
+        Whether anything had changed.
+    """
+    digest = hashlib.sha256()
+    for source in sorted(root.rglob("*kernels.py")):
+        digest.update(source.relative_to(root).as_posix().encode())
+        digest.update(source.read_bytes())
+    stamp = root / "__pycache__" / _STAMP
+    # Where nothing can be written, as in a system-wide installation, Numba keeps its files elsewhere.
+    with contextlib.suppress(OSError):
+        if stamp.exists() and stamp.read_text(encoding="ascii") == digest.hexdigest():
+            return False
+        for compiled_file in [*root.rglob("*.nbi"), *root.rglob("*.nbc")]:
+            compiled_file.unlink(missing_ok=True)
+        stamp.parent.mkdir(exist_ok=True)
+        stamp.write_text(digest.hexdigest(), encoding="ascii")
+    return True
 
 
 def load_kernels(on_kernel: Callable[[str, int, int], None] | None = None) -> int:
@@ -23,6 +54,7 @@ def load_kernels(on_kernel: Callable[[str, int, int], None] | None = None) -> in
     Returns:
         The number of kernels made ready.
     """
+    forget_stale_kernels(Path(companion.__file__).parent)
     for name in kernel_modules():
         importlib.import_module(name)
     return warm_up(on_kernel)

@@ -17,7 +17,7 @@ from companion.geometry import rotation
 from companion.messages import FloatArray, Odometry, OdometryStatus
 from companion.perception.odometry.lio import LidarInertialOdometry
 from companion.perception.odometry.settings import OdometrySettings
-from sitl.bench.courses import course
+from sitl.bench.courses import COURSES, course
 from sitl.bench.synthetic_flights import T_BODY_LIDAR, T_LIDAR_IMU, stream
 from sitl.kinematics import Kinematics
 
@@ -108,7 +108,9 @@ def fly(world: str, duration_s: float, seed: int, settings: OdometrySettings) ->
     samples: list[Sample | None] = []
     start: Kinematics | None = None
     newest: Sample | None = None
-    for step in stream(course(world, seed), duration_s, np.random.default_rng([seed, 1])):
+    # Other noise in every world, so that all flights of a campaign are independent.
+    chance = np.random.default_rng([seed, 2 + list(COURSES).index(world)])
+    for step in stream(course(world, seed), duration_s, chance):
         start = start or step.truth
         for event in step.events:
             for output in lio.handle(event):

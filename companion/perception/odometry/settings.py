@@ -27,11 +27,11 @@ class OdometrySettings(Settings):
     """Farther returns are ignored."""
     ignore_uncertain_points: bool = True
     """Drop points whose tag bits 4-5 mark low confidence of the return's position."""
-    matched_points: int = Field(default=2500, ge=200, le=10_000)
+    matched_points: int = Field(default=1000, ge=200, le=10_000)
     """Wanted number of points per registration; the thinning grid adapts its cell size to it."""
     thinning_cell_min_m: float = Field(default=0.05, ge=0.01, le=1.0)
     """Smallest cell of the thinning grid."""
-    thinning_cell_max_m: float = Field(default=0.5, ge=0.05, le=5.0)
+    thinning_cell_max_m: float = Field(default=1.0, ge=0.05, le=5.0)
     """Largest cell of the thinning grid."""
 
     fine_cell_m: float = Field(default=0.15, ge=0.05, le=1.0)
