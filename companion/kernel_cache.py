@@ -10,7 +10,6 @@ from pathlib import Path
 import companion
 from companion.compiled import warm_up
 
-
 _STAMP = "kernels.sha256"
 
 
