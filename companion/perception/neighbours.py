@@ -4,7 +4,7 @@ import numpy as np
 from pydantic import Field
 
 from companion.geometry import rotation
-from companion.messages import FloatArray, Neighbours, NeighbourTrack, NeighbourTracks, Odometry
+from companion.messages import Neighbours, NeighbourTrack, NeighbourTracks, Odometry
 from companion.settings import Settings
 
 STATE_WIDTH = 7

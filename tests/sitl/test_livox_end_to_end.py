@@ -63,7 +63,7 @@ class Flight:
             for event in self.receiver.receive(datagram):
                 if isinstance(event, LidarScan):
                     self.scans.append(event)
-                else:
+                elif isinstance(event, ImuSample):
                     self.samples.append(event)
 
     def _network(self, datagrams: list[Datagram]) -> list[Datagram]:
