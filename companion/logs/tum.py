@@ -57,14 +57,35 @@ def read_tum(path: Path) -> Trajectory:
     return Trajectory(np.array(t_ns, dtype=np.int64), table[:, :3].copy(), q)
 
 
+def require_place(path: Path) -> None:
+    """Refuse a name under which no trajectory can be written; to be asked before long work, not after it.
+
+    Raises:
+        LogError: if the name belongs to a file that is no trajectory, such as a flight log: it would be lost.
+        FileNotFoundError: if there is no such folder.
+    """
+    if not path.parent.is_dir():
+        raise FileNotFoundError(f"{path}: no such folder")
+    if not path.is_file():
+        return
+    try:
+        for number, line in _lines(path):
+            _parse(line, f"{path}:{number}")
+            return
+    except LogError:
+        raise LogError(f"{path}: exists and is no trajectory, so it is not replaced") from None
+
+
 def write_tum(path: Path, trajectory: Trajectory) -> None:
-    """Write a trajectory; a file of that name is replaced.
+    """Write a trajectory; one of that name is replaced.
 
     Times have nine decimals; the other numbers as many as it takes to read them back unchanged.
 
     Raises:
+        LogError: if there is a file of that name that is no trajectory.
         OSError: if the file cannot be written.
     """
+    require_place(path)
     with path.open("w", encoding="ascii") as file:
         file.write(f"# {_COLUMNS}\n")
         for t, p, q in zip(

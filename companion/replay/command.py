@@ -14,7 +14,7 @@ from companion.logs.channels import Channel
 from companion.logs.container import LIBRARY, MAGIC
 from companion.logs.metadata import software_versions, source_commit
 from companion.logs.reader import FlightRecording
-from companion.logs.tum import write_tum
+from companion.logs.tum import require_place, write_tum
 from companion.recordings.source import open_recording
 from companion.replay.configuration import Changed, changed_tables, replay_profile, with_assignments
 from companion.replay.flight import SENSOR_INPUTS, FlightReplay
@@ -56,6 +56,8 @@ def replay(request: ReplayRequest, clock: SystemClock, on_progress: Progress | N
         LogError: if it cannot be read or holds no raw packets, or an output cannot be written.
         ProfileError: if the configuration to replay with is wrong.
     """
+    if request.tum is not None:
+        require_place(request.tum)
     if _is_flight_log(request.log):
         return _FlightRun(request, clock, on_progress).run()
     return _replay_recording(request, clock, on_progress)

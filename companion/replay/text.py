@@ -50,7 +50,7 @@ def _changes(name: str, changes: Sequence[Changed]) -> Iterator[str]:
 
 
 def _missing(result: ReplayResult) -> Iterator[str]:
-    if not result.complete:
+    if result.channels and not result.complete:
         yield "the log was not closed, or part of it cannot be read: it is replayed as far as it goes"
     if result.missing:
         listed = ", ".join(f"{count} on {topic}" for topic, count in result.missing.items())

@@ -12,7 +12,7 @@ from companion.geometry.trajectory import Trajectory
 from companion.logs.channels import TRUTH
 from companion.logs.reader import FlightRecording
 from companion.logs.records import StampedPose
-from companion.logs.tum import write_tum
+from companion.logs.tum import require_place, write_tum
 from companion.messages import Datagram
 from companion.recordings.packets import PacketRecording
 from companion.recordings.source import open_recording
@@ -47,6 +47,8 @@ def convert(
     for path in (out, truth):
         if path is not None and path.exists():
             raise LogError(f"{path}: exists already")
+    if truth is not None:
+        require_place(truth)
     poses = _truth(log, recording.kind) if truth is not None else None
     good = _Good(recording.datagrams())
     _writer(to, recording.lidar_ip, stamps)(out, good)

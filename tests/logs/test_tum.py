@@ -94,3 +94,22 @@ def test_a_file_that_is_too_large_is_not_read(tmp_path: Path, monkeypatch: pytes
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
     with pytest.raises(LogError, match=r"nothing\.tum: cannot be read"):
         read_tum(tmp_path / "nothing.tum")
+
+
+@pytest.mark.parametrize("content", [b"\x89MCAP0\r\n\x01\x02", b"#ROSBAG V2.0\n\x45\x00\x00", b"x" * 5000])
+def test_a_file_that_is_no_trajectory_is_not_replaced(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "flight.mcap"
+    path.write_bytes(content)
+    with pytest.raises(LogError, match=r"flight\.mcap: exists and is no trajectory"):
+        write_tum(path, Trajectory(np.zeros(1, dtype=np.int64), np.zeros((1, 3)), rotation.IDENTITY[None]))
+    assert path.read_bytes() == content
+
+
+def test_a_trajectory_is_replaced_and_a_missing_folder_is_named(tmp_path: Path) -> None:
+    one = Trajectory(np.zeros(1, dtype=np.int64), np.zeros((1, 3)), rotation.IDENTITY[None])
+    for content in (f"1 {POSE}\n", "# only words\n", ""):
+        (tmp_path / "t.tum").write_text(content)
+        write_tum(tmp_path / "t.tum", one)
+        assert read_tum(tmp_path / "t.tum").t_ns.tolist() == [0]
+    with pytest.raises(FileNotFoundError, match="no such folder"):
+        write_tum(tmp_path / "nowhere" / "t.tum", one)

@@ -357,6 +357,11 @@ class TestOtherRecordings:
         assert "scans registered along" in capsys.readouterr().out
         run(short, odometry_only=True, tum=tmp_path / "log.tum")
         assert (tmp_path / "capture.tum").read_text() == (tmp_path / "log.tum").read_text()
+        capture.write_bytes(capture.read_bytes()[:-100])
+        assert main(wanted) == ExitCode.OK
+        out = capsys.readouterr().out
+        assert "the recording ends early" in out
+        assert "the log was not closed" not in out
 
 
 class TestTrajectory:
@@ -367,6 +372,14 @@ class TestTrajectory:
             tum = tmp_path / f"{source}.tum"
             assert main(["trajectory", str(short), "--tum", str(tum), "--source", source]) == 0
             assert f"{tum}: {len(read_tum(tum))} poses" in capsys.readouterr().out
+
+    def test_a_log_is_not_replaced_by_its_own_path(self, short: Path, tmp_path: Path, capsys: Output) -> None:
+        log = copy_log(short, tmp_path / "flight.mcap")
+        content = log.read_bytes()
+        for verb in (["trajectory"], ["replay", "--odometry-only"]):
+            assert main([*verb, str(log), "--tum", str(log)]) == ExitCode.DATA
+            assert "exists and is no trajectory, so it is not replaced" in capsys.readouterr().err
+        assert log.read_bytes() == content
 
     def test_a_log_without_such_poses_says_so(self, short: Path, tmp_path: Path, capsys: Output) -> None:
         log = copy_log(short, tmp_path / "early.mcap", until_ns=BOOT_NS + SECOND_NS // 2)
