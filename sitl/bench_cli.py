@@ -269,7 +269,7 @@ def failures(
 
 @app.command(epilog="Example: sitl bench flights --seeds 20")
 def flights(
-    scenario: Annotated[Path, typer.Argument(help="YAML scenario.")] = _DEMO,
+    scenario: Annotated[Path, typer.Argument(metavar="SCENARIO", help="YAML scenario.")] = _DEMO,
     seeds: Annotated[int, typer.Option(min=1, help="Number of flights, seeds 1, 2, ...")] = 20,
     wire: Annotated[bool, typer.Option("--wire", help="Real sockets, MAVSDK and real time.")] = False,
     out: Annotated[Path, typer.Option(help="Folder for the logs of failed flights.")] = Path("runs/bench"),

@@ -186,8 +186,12 @@ def px4(
 
 @app.command(epilog="Example: sitl convert runs/last/flight.mcap flight.bag --to rosbag1 --truth flight.tum")
 def convert(
-    recording: Annotated[Path, typer.Argument(help="Flight log, network capture or LVX2 file.")],
-    out: Annotated[Path, typer.Argument(help="File to write (a folder for ROS 2); must not exist.")],
+    recording: Annotated[
+        Path, typer.Argument(metavar="RECORDING", help="Flight log, network capture or LVX2 file.")
+    ],
+    out: Annotated[
+        Path, typer.Argument(metavar="OUT", help="File to write (a folder for ROS 2); must not exist.")
+    ],
     to: Annotated[
         Literal["pcap", "pcapng", "lvx2", "rosbag1", "rosbag2", "rosbag2-mcap"],
         typer.Option(help="Format to write."),

@@ -158,6 +158,7 @@ def _result(
     judgement = judge(estimate, truth) if truth is not None and len(truth) else None
     scans = int(np.count_nonzero(race.counted(np.array(race.scan_end_ns))))
     wall_ms, cpu_ms = trial.track.wall_ms[counted], trial.track.cpu_ms[counted]
+    remark = trial.remark if len(estimate) < scans else ""
     row = Row(
         world=world,
         system=trial.name,
@@ -178,7 +179,7 @@ def _result(
         scans=scans,
         seed=seed,
         setup=trial.setup,
-        note=trial.note or (trial.remark if len(estimate) < scans else ""),
+        note=trial.note or remark or ("no true path was given" if truth is None else ""),
     )
     return Result(row, judgement, race.scan_end_ns[0] if len(race.scan_end_ns) else 0)
 

@@ -89,6 +89,7 @@ def test_the_others_read_the_same_recording(tmp_path: Path, recording: Path, ste
 def test_without_truth_the_times_are_told(recording: Path) -> None:
     row = measure_recording(recording, None, ["companion"])[0].row
     assert row.ape_rmse_m is None
+    assert row.note == "no true path was given"
     assert row.ms_median is not None
     assert row.scans > 50
 
