@@ -50,7 +50,9 @@ class SourceClockFollower:
         return 0 if self._is_host_clock else self._estimator.offset_ns - self._min_delay_ns
 
     def judge(self, t_host_ns: int, time_usec: int) -> StampVerdict:
-        """Take the stamp of a message received at `t_host_ns`; only an accepted one moves anything.
+        """Take the stamp of a message received at `t_host_ns`.
+
+        One that is refused moves nothing, except that a late one still tells about the clock.
 
         Args:
             t_host_ns: host time of reception.

@@ -368,16 +368,12 @@ def test_memory_stays_bounded_by_the_settings(field_events: Events) -> None:
 
 
 def test_a_scan_waits_until_the_imu_covers_its_end(room_events: Events) -> None:
-    outcome_late, outcome_early = run(room_events[:650]), None
-    # The scan arrives before the last samples that it covers.
     early: Events = []
     for event in room_events[:650]:
-        if isinstance(event, LidarScan):
-            position = len(early) - 4
-            early.insert(max(0, position), event)
-        else:
-            early.append(event)
-    outcome_early = run(early)
+        # The scan arrives before the last samples that it covers.
+        position = max(0, len(early) - 4) if isinstance(event, LidarScan) else len(early)
+        early.insert(position, event)
+    outcome_late, outcome_early = run(room_events[:650]), run(early)
     assert [s.sequence for s in outcome_early.scans] == [s.sequence for s in outcome_late.scans]
     for late, soon in zip(outcome_late.scans, outcome_early.scans, strict=True):
         np.testing.assert_allclose(soon.odometry.p_map, late.odometry.p_map, atol=1e-3)
