@@ -21,7 +21,8 @@ class NeighbourTrack:
         t_seen_ns: host time of the newest scan in which it was observed.
         points: returns of its body in that scan's stack.
         bright_share: share of them that came from reflective tape.
-        validated: it has proved to be a UAV; others are candidates and must not be relied on.
+        validated: it has proved to be a UAV, and its position can be relied on; others are candidates, or
+            were lost from sight too long ago, and must not be relied on.
     """
 
     track_id: int

@@ -1,7 +1,7 @@
 """From filtered points to clusters that may be UAVs: density, number of points, size and shape."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,6 +53,8 @@ class Cluster:
             any, the same as `centre_map`.
         age_s: how long ago that was, on average.
         range_m: from the sensor to `centre_map`.
+        velocity_map: (3,) as the points themselves show it, zero where they do not, m/s.
+        speed_sigma: its standard deviation on each axis, infinite where they do not.
     """
 
     points: int
@@ -63,6 +65,8 @@ class Cluster:
     measured_map: FloatArray
     age_s: float
     range_m: float
+    velocity_map: FloatArray = field(default_factory=lambda: np.zeros(3))
+    speed_sigma: float = math.inf
 
     @property
     def bright_share(self) -> float:
@@ -179,14 +183,28 @@ def trim(
         labels[inside[np.linalg.norm(away, axis=1) > reach_m]] = -1
 
 
-def describe(labels: NDArray[np.int32], points: FilteredPoints, sensor_map: FloatArray) -> list[Cluster]:
-    """Return what there is to know of each cluster, the nearest first."""
+def describe(
+    labels: NDArray[np.int32],
+    points: FilteredPoints,
+    sensor_map: FloatArray,
+    velocities: dict[int, tuple[FloatArray, float]] | None = None,
+) -> list[Cluster]:
+    """Return what there is to know of each cluster, the nearest first.
+
+    Args:
+        labels: (n,) cluster of each point, -1 for none.
+        points: what was clustered.
+        sensor_map: (3,) m.
+        velocities: of some clusters, see `smear.straighten`.
+    """
     count = int(labels.max(initial=-1)) + 1
+    still = (np.zeros(3), math.inf)
     table = np.empty((count, kernels.SUMMARY_WIDTH))
     kernels.summarise(
         labels, points.measured_map, points.moved_map, points.ages_s, points.fresh, points.bright, table
     )
-    table = table[table[:, kernels.COUNT] > 0.0]
+    names = np.flatnonzero(table[:, kernels.COUNT] > 0.0)
+    table = table[names]
     middles = table[:, kernels.SUM] / table[:, kernels.COUNT, None]
     ranges = np.linalg.norm(middles - sensor_map, axis=1)
     order = np.argsort(ranges, kind="stable")[:MOST_CLUSTERS]
@@ -194,6 +212,7 @@ def describe(labels: NDArray[np.int32], points: FilteredPoints, sensor_map: Floa
     for k in order:
         row = table[k]
         fresh = row[kernels.FRESH]
+        velocity_map, speed_sigma = (velocities or {}).get(int(names[k]), still)
         clusters.append(
             Cluster(
                 points=int(row[kernels.COUNT]),
@@ -204,6 +223,8 @@ def describe(labels: NDArray[np.int32], points: FilteredPoints, sensor_map: Floa
                 measured_map=row[kernels.FRESH_SUM] / fresh if fresh else middles[k],
                 age_s=float(row[kernels.FRESH_AGE] / fresh) if fresh else 0.0,
                 range_m=float(ranges[k]),
+                velocity_map=velocity_map,
+                speed_sigma=speed_sigma,
             )
         )
     return clusters

@@ -28,8 +28,9 @@ class MotionFilter:
         speed_sigma: float,
         acceleration_sigma: float,
         fading_s: float,
+        v_map: FloatArray | None = None,
     ) -> None:
-        """Start where a body was seen, with any velocity.
+        """Start where a body was seen.
 
         Args:
             p_map: (3,) m.
@@ -37,10 +38,11 @@ class MotionFilter:
             speed_sigma: standard deviation of each axis of the velocity, m/s.
             acceleration_sigma: the same of the acceleration, m/s^2.
             fading_s: its time constant.
+            v_map: (3,) expected velocity, m/s; zero by default.
         """
         self._acceleration_sigma, self._fading_s = acceleration_sigma, fading_s
         self._filter = KalmanFilter(dim_x=9, dim_z=3)
-        self._filter.x = np.concatenate([p_map, np.zeros(6)])
+        self._filter.x = np.concatenate([p_map, np.zeros(3) if v_map is None else v_map, np.zeros(3)])
         variances = [0.0] * 3 + [speed_sigma**2] * 3 + [acceleration_sigma**2 * (fading_s > 0.0)] * 3
         self._filter.P = np.diag(variances)
         self._filter.P[_P, _P] = covariance_p

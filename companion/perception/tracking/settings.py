@@ -81,6 +81,8 @@ class TrackingSettings(Settings):
     """Measure the centre of the body; otherwise the mean of the visible points."""
     size_gate: bool = True
     """Refuse clusters by size and shape."""
+    streaks: bool = True
+    """Know bodies that move fast from the streaks that they leave in the stack."""
 
     association: Association = Field(default=Association.GLOBAL, strict=False)
     """How clusters find their tracks."""
@@ -92,13 +94,15 @@ class TrackingSettings(Settings):
     """A validated track and a cluster left over still match within a gate so many times as wide."""
     max_match_m: float = Field(default=0.8, gt=0.0, le=10.0)
     """Never farther from the prediction than this, however uncertain it is..."""
-    max_return_m: float = Field(default=3.0, gt=0.0, le=20.0)
+    max_return_m: float = Field(default=1.5, gt=0.0, le=20.0)
     """...or this, when a lost one is found again."""
     inactive_s: float = Field(default=0.5, gt=0.0, le=10.0)
     """t_inactive: an unobserved track is carried on as current for this long."""
-    last_seen_s: float = Field(default=3.0, ge=0.0, le=30.0)
+    max_coast_sigma_m: float = Field(default=0.15, gt=0.0, le=20.0)
+    """Unobserved, it is relied on only while no standard deviation of its position exceeds this."""
+    last_seen_s: float = Field(default=10.0, ge=0.0, le=30.0)
     """A validated one stays for this much longer as 'last seen' and takes its number up again when found."""
-    same_body_m: float = Field(default=0.35, gt=0.0, le=5.0)
+    same_body_m: float = Field(default=0.5, gt=0.0, le=5.0)
     """Nothing new begins this near to a track, and of two tracks this near only one is true."""
     most_tracks: int = Field(default=48, ge=1, le=200)
     """Most tracks at once, candidates included; the nearest clusters come first."""
@@ -170,7 +174,8 @@ class TrackingSettings(Settings):
         """Return the published method: its table, and nothing that it does not describe."""
         return cls(
             max_range_m=10.0, roi_sigmas=0.0, epsilon_spacings=0.0, core_points=1, sparse_updates=False,
-            size_gate=False, body_centre=False, association=Association.GREEDY, last_seen_s=0.0,
+            streaks=False, size_gate=False, body_centre=False, association=Association.GREEDY,
+            max_coast_sigma_m=20.0, last_seen_s=0.0,
             max_bright_share=1.0, share_memory=0.0, off_s=0.0, min_on_updates=1, proof_of_flight=False,
             acceleration_fading_s=0.0, acceleration_density=1.0,
         )  # fmt: skip

@@ -15,8 +15,8 @@ from companion.perception.tracking.validation import Proof
 _LEAST_HIDDEN = 0.3
 _RESOLVED_POINTS = 20
 _RESOLVED_RADII = 1.5
+_SETTLED_SPEED_SIGMA = 0.6
 _EXPECTED_SQUARE = 9.0  # squared Mahalanobis distance within which a return surprises nobody
-_EXPECTED_M = 0.6  # and distance, by the largest one
 
 
 def measurement(
@@ -78,6 +78,8 @@ class Track:
         """
         self.track_id = track_id
         self.t_born_ns = t_ns
+        self.known = False  # whether it was ever taken for a UAV
+        self.claimed: Track | None = None
         self._settings = settings
         self._begin(t_ns, cluster, z_map, R)
         self.judge()
@@ -88,10 +90,12 @@ class Track:
         self.motion = MotionFilter(
             z_map,
             R,
-            settings.initial_speed_sigma,
+            min(settings.initial_speed_sigma, cluster.speed_sigma),
             settings.acceleration_sigma,
             settings.acceleration_fading_s,
+            cluster.velocity_map,
         )
+        self.motion.predict(cluster.age_s, settings.acceleration_density)
         self.proof = Proof(settings, self.motion)
         self._newest = cluster
 
@@ -101,6 +105,11 @@ class Track:
         settings = self._settings
         wanted = settings.roi_sigmas * self.sigma_m + settings.body_radius_m
         return max(settings.roi_radius_m, min(wanted, settings.max_roi_radius_m))
+
+    @property
+    def is_settled(self) -> bool:
+        """Return whether its velocity is known well."""
+        return float(np.max(np.diagonal(self.motion.covariance)[3:6])) <= _SETTLED_SPEED_SIGMA**2
 
     @property
     def sigma_m(self) -> float:
@@ -115,6 +124,8 @@ class Track:
         """Carry it on; nobody knows for long where one goes that was lost."""
         settings = self._settings
         self.motion.predict(dt_s, settings.acceleration_density)
+        if self.claimed is not None:
+            self.claimed.predict(dt_s, lost=True)
         if lost:
             self.motion.fade(dt_s, settings.lost_fading_s, settings.lost_speed_sigma)
 
@@ -131,27 +142,27 @@ class Track:
         self.t_seen_ns = t_ns
         self._newest = cluster
 
-    def find_again(self, t_ns: int, cluster: Cluster, z_map: FloatArray, R: FloatArray) -> None:
-        """Begin anew where it may have come into sight again; it keeps its number.
-
-        If that is not where it was expected, it has to prove itself again.
-
-        Args:
-            t_ns: host time of the scan's end.
-            cluster: what was seen.
-            z_map: (3,) see `measurement`.
-            R: (3, 3) see `measurement`.
-        """
+    def expects(self, z_map: FloatArray, R: FloatArray) -> bool:
+        """Return whether a lost one might well have come into sight here; see `measurement`."""
         y = z_map - self.motion.p_map
         S = self.motion.covariance[:3, :3] + R
-        expected = (
+        return (
             float(y @ np.linalg.solve(S, y)) <= _EXPECTED_SQUARE
-            and float(np.linalg.norm(y)) <= _EXPECTED_M * self._settings.max_return_m
+            and float(np.linalg.norm(y)) <= self._settings.max_return_m
         )
-        before = self.proof
-        self._begin(t_ns, cluster, z_map, R)
-        if expected:
-            self.proof.take_over(before)
+
+    def become(self, lost: "Track", *, doubtful: bool = False) -> None:
+        """Take the number of a lost one: this is who it was all along.
+
+        Args:
+            lost: it need not be followed any longer.
+            doubtful: this one has no proof but that it came into sight where the lost one was expected;
+                `claimed` keeps the lost one until there is more.
+        """
+        self.track_id, self.t_born_ns, self.known = lost.track_id, lost.t_born_ns, True
+        if doubtful:
+            self.claimed = lost
+            self.proof.take_over(lost.proof)
 
     def look_around(self, counts: FloatArray, expected: float) -> None:
         """Take what surrounds it; see `Proof.look_around`."""
@@ -165,8 +176,16 @@ class Track:
         """Decide anew whether it is a UAV, after an observation."""
         self.proof.judge(self._newest.points, self._newest.bright, self.motion)
 
-    def message(self) -> NeighbourTrack:
-        """Return it as others see it."""
+    def is_trusted(self, t_ns: int) -> bool:
+        """Return whether it is a UAV, and near enough to where it is said to be."""
+        settings = self._settings
+        if not self.proof.validated or self.t_seen_ns == t_ns:
+            return self.proof.validated
+        spread = float(np.linalg.eigvalsh(self.motion.covariance[:3, :3])[-1])
+        return self.unseen_s(t_ns) <= settings.inactive_s + 0.01 and spread <= settings.max_coast_sigma_m**2
+
+    def message(self, t_ns: int) -> NeighbourTrack:
+        """Return it as others see it at the end of a scan."""
         return NeighbourTrack(
             track_id=self.track_id,
             p_map=self.motion.p_map.copy(),
@@ -176,5 +195,5 @@ class Track:
             t_seen_ns=self.t_seen_ns,
             points=self._newest.points,
             bright_share=self.proof.bright_share,
-            validated=self.proof.validated,
+            validated=self.is_trusted(t_ns),
         )

@@ -27,6 +27,7 @@ from companion.perception.tracking.clustering import (
 from companion.perception.tracking.filtering import ScanStack, StackedPoints
 from companion.perception.tracking.regions import Regions, RegionSearch
 from companion.perception.tracking.settings import Association, Tape, TrackingSettings
+from companion.perception.tracking.smear import Velocities, straighten
 from companion.perception.tracking.track import Track, measurement
 from companion.perception.tracking.validation import Surroundings
 
@@ -75,8 +76,8 @@ class NeighbourTracker:
             else:
                 self._stack.clear()
             self._bury()
-        messages = tuple(track.message() for track in self._tracks)
-        return NeighbourTracks(self._t_ns or odometry.t_ns, scan.sequence, messages)
+        t_ns = odometry.t_ns if self._t_ns is None else self._t_ns
+        return NeighbourTracks(t_ns, scan.sequence, tuple(track.message(t_ns) for track in self._tracks))
 
     def _forget(self) -> None:
         self._tracks, self._t_ns = [], None
@@ -101,7 +102,12 @@ class NeighbourTracker:
         labels = find_clusters(points, sensor, self._settings)
         trusted = np.array([track.proof.validated for track in current], np.bool_)
         trim(labels, points, trusted, self._settings)
-        clusters = [cluster for cluster in describe(labels, points, sensor) if self._is_plausible(cluster)]
+        settled = np.array([track.is_settled for track in current], np.bool_)
+        velocities: Velocities = {}
+        if self._settings.streaks:
+            points, velocities = straighten(labels, points, settled)
+        clusters = describe(labels, points, sensor, velocities)
+        clusters = [cluster for cluster in clusters if self._is_plausible(cluster)]
         shaded = self._shaded(clusters, stack, sensor)
         measured = self._measured(clusters, shaded, odometry, sensor)
         solid = self._solid(clusters, measured, shaded, stack, current, sensor)
@@ -112,9 +118,16 @@ class NeighbourTracker:
         free = [j for j in range(len(clusters)) if j not in taken]
         free = [j for j in free if self._may_begin(clusters[j], measured[j][0])]
         found = self._pairs(lost, [measured[j] for j in free], [clusters[j].age_s for j in free], self._gate)
+        found = [(i, k) for i, k in found if lost[i].expects(*measured[free[k]])]
         for i, k in found:
-            lost[i].find_again(t_ns, clusters[free[k]], *measured[free[k]])
+            back = Track(
+                lost[i].track_id, t_ns, clusters[free[k]], *measured[free[k]], settings=self._settings
+            )
+            back.become(lost[i], doubtful=True)
+            self._tracks[self._tracks.index(lost[i])] = back
         self._judge([track for track in self._tracks if track.t_seen_ns == t_ns], stack, odometry, sensor)
+        self._release()
+        self._recognise()
         begun = [j for k, j in enumerate(free) if k not in {k for _, k in found}]
         for j in begun[: max(self._settings.most_tracks - len(self._tracks), 0)]:
             self._tracks.append(Track(self._next_id, t_ns, clusters[j], *measured[j], self._settings))
@@ -235,7 +248,8 @@ class NeighbourTracker:
             p = np.array([track.motion.p_map for track in current])
             nearest = np.argmin(np.linalg.norm(z[:, None] - p, axis=2), axis=1)
             velocities = np.array([track.motion.v_map for track in current])[nearest]
-            bodies = Regions(z, velocities, np.zeros(len(z)))
+            ages = np.array([[clusters[j].age_s] for j in dim])
+            bodies = Regions(z + ages * velocities, velocities, np.zeros(len(z)))
             counts = self._search.survey(stack, bodies, nearest.tolist(), current, sensor_map)
             around = counts[:, region_kernels.BELOW :].sum(axis=1)
             solid[dim] = around > 1.0 + _SOLID_SHARE * counts[:, region_kernels.BODY]
@@ -258,6 +272,37 @@ class NeighbourTracker:
                 track.look_around(count, float(foot))
         for track in seen:
             track.judge()
+
+    def _release(self) -> None:
+        """Let go of the numbers that were given to what is no UAV after all."""
+        for track in list(self._tracks):
+            if track.claimed is None:
+                continue
+            if not track.proof.validated:
+                self._tracks.append(track.claimed)
+                track.track_id, track.known = self._next_id, False
+                self._next_id += 1
+            if not track.proof.validated or track.proof.is_its_own:
+                track.claimed = None
+        self._tracks.sort(key=lambda track: track.track_id)
+
+    def _recognise(self) -> None:
+        """Give whoever has just proved to be a UAV the number of the lost one it most likely is."""
+        new = [track for track in self._tracks if track.proof.validated and not track.known]
+        lost = [track for track in self._tracks if track.proof.validated and not self._is_current(track)]
+        for track in new:
+            track.known = True
+        if not new or not lost:
+            return
+        states = np.array([[*track.motion.p_map, *track.motion.v_map] for track in lost])
+        covariances = np.array([track.motion.covariance for track in lost])
+        places = np.array([track.motion.p_map for track in new])
+        noises = np.array([track.motion.covariance[:3, :3] for track in new])
+        costs = gated_costs(states, covariances, places, noises, np.zeros(len(new)), self._gate)
+        for i, j in global_pairs(costs):
+            new[j].become(lost[i])
+            self._tracks.remove(lost[i])
+        self._tracks.sort(key=lambda track: track.track_id)
 
     def _merge(self, t_ns: int) -> None:
         """Of two tracks of one body keep the proven one, or else the older one."""

@@ -22,6 +22,7 @@ from companion.perception.tracking.settings import Tape, TrackingSettings
 # In thresholds of evidence:
 _MOST_EVIDENCE = 4.0  # what is proven can still be disproven
 _MOTION = 2.0  # what moved may pass by solid things for a while
+_TAKEN_OVER = 0.5  # what one who seems to have come back starts with
 _DOUBT = 0.25  # what seems attached by more than this cannot prove itself by moving
 # Of one scan:
 _MOST_AGAINST = 3.0  # attached points that count
@@ -101,7 +102,12 @@ class Proof:
     def take_over(self, before: "Proof") -> None:
         """Believe what another one has proved until there is evidence against it."""
         self.validated = before.validated
-        self.free = min(before.free, self._settings.free_evidence)
+        self.free = min(before.free, _TAKEN_OVER * self._settings.free_evidence)
+
+    @property
+    def is_its_own(self) -> bool:
+        """Return whether it has more evidence than any that it took over."""
+        return self.moved or self.free >= self._settings.free_evidence
 
     @property
     def bright_share(self) -> float:
