@@ -271,7 +271,9 @@ class LidarInertialOdometry:
         self._initialiser.clear()
 
     def _give_up(self, health: Health, t_sensor_ns: int | None = None) -> Odometry:
-        """Forget motion and map and wait for rest again."""
+        """Forget motion and map and wait for rest again; nothing is known then, whatever was a moment ago."""
+        reason = self._relocaliser.reason if self._relocaliser.hopeless else health.reason
+        lost = Health(OdometryStatus.LOST, 0, reason or "state is not finite")
         self._scan_state = self._head = None
         self._relocaliser.forget()
         self._forget()
@@ -280,7 +282,7 @@ class LidarInertialOdometry:
         if t_sensor_ns is None:
             t_sensor_ns = self.sequencer.history.last_ns
         t_ns = max(self._host_time_ns(t_sensor_ns), self._last_output[1])
-        return no_odometry(t_ns, t_sensor_ns, self._reset_counter, health)
+        return no_odometry(t_ns, t_sensor_ns, self._reset_counter, lost)
 
     def _inherit(self, correction: Correction, points_imu: FloatArray, chosen: NDArray[np.int64]) -> None:
         """Let the anchor know which ground a scan was matched to."""

@@ -1,6 +1,7 @@
 """Flights whose sensors fall silent for a while: bridged, found again, or refused; never wrong and sure."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -101,6 +102,22 @@ def test_six_seconds_without_scans_never_end_in_a_wrong_and_sure_pose(
     else:
         assert outcome.odometry[-1].status in (OdometryStatus.LOST, OdometryStatus.INITIALISING)
         assert outcome.odometry[-1].reason
+
+
+def test_an_outage_too_uncertain_to_search_ends_as_lost(events: Events) -> None:
+    # Saturated meanwhile, the IMU leaves a region too large for a search, long before `lost_after_s`.
+    shaken: Events = []
+    for event in _without(events, 1.3, _is_scan, 6.0):
+        if isinstance(event, ImuSample) and START_NS < event.t_sensor_ns <= START_NS + 50_000_000:
+            sign = 1.0 if len(shaken) % 2 else -1.0
+            event = replace(event, accel_imu=np.array([78.5 * sign, event.accel_imu[1], event.accel_imu[2]]))
+        shaken.append(event)
+    outcome = run(shaken, _SETTINGS)
+    ended = next(entry for entry in outcome.odometry if entry.reset_counter == 1)
+    assert ended.status is OdometryStatus.LOST
+    assert ended.quality == 0
+    assert ended.reason == "the place could be too far away to be searched"
+    assert START_NS + 1_300_000_000 < ended.t_sensor_ns < START_NS + 1_600_000_000
 
 
 def test_when_the_imu_falls_silent_the_scans_tell(flight: SimulatedFlight, events: Events) -> None:
