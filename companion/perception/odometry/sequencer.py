@@ -117,7 +117,9 @@ class Sequencer:
             scan = self._scans[0]
             stale = scan.t_sensor_end_ns <= after_ns or scan.t_sensor_start_ns < self.history.first_ns
             ahead_ns = scan.t_sensor_end_ns - self.history.last_ns
-            if stale or ahead_ns > 10 * self._longest_ns:
+            # A scan may be ahead by as long as the IMU may be silent; more is a wrong stamp, and must not
+            # keep the scans behind it waiting.
+            if stale or ahead_ns > self._longest_ns:
                 self._scans.popleft()
                 self.counts.scans_stale += 1
                 continue

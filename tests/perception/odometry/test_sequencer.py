@@ -48,6 +48,19 @@ def test_scans_leave_in_order_and_those_already_passed_are_dropped() -> None:
     assert sequencer.counts.scans_stale == 2
 
 
+def test_a_scan_stamped_too_far_ahead_does_not_keep_the_next_one_waiting() -> None:
+    sequencer = Sequencer(SETTINGS)
+    sequencer.add_sample(_sample(0))
+    sequencer.add_scan(_scan(2000, 7))
+    sequencer.add_scan(_scan(0, 8))
+    for t in range(5, 105, 5):
+        sequencer.add_sample(_sample(t))
+    scan = sequencer.covered_scan(0)
+    assert scan is not None
+    assert scan.sequence == 8
+    assert sequencer.counts.scans_stale == 1
+
+
 def test_the_queue_of_scans_is_bounded() -> None:
     sequencer = Sequencer(SETTINGS)
     for k in range(MOST_WAITING_SCANS + 5):
