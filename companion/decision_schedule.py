@@ -20,7 +20,9 @@ class DecisionSchedule:
 
     def decided(self, t_ns: int) -> None:
         """Note a regular decision; instants that were missed are gone, a burst would be worse than a gap."""
-        self.next_ns = max(self.next_ns + self._period_ns, t_ns)
+        self.next_ns += self._period_ns
+        if self.next_ns <= t_ns:
+            self.next_ns = t_ns + self._period_ns
 
     def seen(self, t_ns: int) -> None:
         """Note a decision made because something new was seen."""

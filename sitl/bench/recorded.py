@@ -1,6 +1,7 @@
 """The same comparison on a flight recorded elsewhere, with or without a true trajectory."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from companion.geometry.pose import Pose
 from companion.geometry.trajectory import Trajectory
 from companion.logs.tum import read_tum
 from companion.messages import ImuSample, LidarScan
+from companion.recordings.recording import RecordingSummary
 from companion.recordings.source import open_recording
 from sitl.bench.comparison import Result, Row, enter, results
 from sitl.bench.contenders import Mount
@@ -57,11 +59,27 @@ def measure_recording(
     if not len(race.scan_end_ns):
         raise LogError(f"{recording}: no scan in it")
     true = _at_scans(known, race, truth) if known is not None and truth is not None else None
-    found = {result.row.system: result for result in results(recording.name, race, true)}
+    remark = _remark(source.summary())
+    found = {
+        result.row.system: replace(result, row=replace(result.row, note=_joined(result.row.note, remark)))
+        for result in results(recording.name, race, true)
+    }
     return [
         found[name] if name in found else Result(Row(recording.name, name, note=missing[name]))
         for name in systems
     ]
+
+
+def _remark(summary: RecordingSummary) -> str:
+    """Return what a reader of the results has to know about the recording."""
+    remark = "" if summary.complete else "the recording is damaged or ends early"
+    if summary.lost:
+        remark = _joined(remark, f"{summary.lost} packets lost")
+    return _joined(remark, *summary.notes)
+
+
+def _joined(*notes: str) -> str:
+    return "; ".join(note for note in notes if note)
 
 
 def _at_scans(known: Trajectory, race: Race, path: Path) -> Trajectory:

@@ -115,3 +115,10 @@ def test_a_truth_with_a_hole_is_not_interpolated_across_it(
     assert not np.any((compared_s > 4.1) & (compared_s < 5.9))
     assert found.row.ape_rmse_m is not None
     assert found.row.ape_rmse_m < 0.01
+
+
+def test_results_from_a_recording_that_ends_early_say_so(tmp_path: Path, recording: Path) -> None:
+    cut = tmp_path / "cut.pcap"
+    cut.write_bytes(recording.read_bytes()[:-1000])
+    (result,) = measure_recording(cut, None, ["companion"], _profile())
+    assert "ends early" in result.row.note
