@@ -164,7 +164,7 @@ def consistency(
 @app.command(epilog="Example: sitl bench tracking --scenes weave,crowd --seeds 3 --seconds 60")
 def tracking(
     scenes: Annotated[
-        str, typer.Option(help="Scenes, separated by commas: ring, hover, crowd, weave, aggressive.")
+        str, typer.Option(help="Scenes, separated by commas: ring, hover, pass, crowd, weave, aggressive.")
     ] = "all",
     seeds: Annotated[int, typer.Option(min=1, max=1000, help="Flights of each case.")] = 1,
     first_seed: Annotated[int, typer.Option(min=0, help="Of world, flight and noise.")] = 1001,

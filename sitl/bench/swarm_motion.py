@@ -17,6 +17,10 @@ from sitl.worlds.primitives import World
 Plan = Callable[[float], FloatArray]
 """Reference positions (n, 3) in the world at a time in seconds since the plan began."""
 
+PASS_REACH_M = 13.0
+LANE_ROOM_M = 3.5
+
+_TURN_MPS2 = 1.5
 _LEAD_S = 0.5
 _RAMP_S = 2.0
 _PULL_PER_S = 1.0
@@ -86,6 +90,43 @@ def rings(rng: Generator, wanted: Sequence[Ring], height_m: float, sway_m: float
             ]
         )
         return np.vstack([own, others])
+
+    return plan
+
+
+def passes(
+    rng: Generator, vehicles: int, nearest_m: float, speed: float, height_m: float, sway_m: float
+) -> Plan:
+    """Return a plan of vehicles that pass the ego vehicle on straight lanes at constant velocity.
+
+    They turn where they are out of its sight, farther than `PASS_REACH_M`. Lanes lie to its left and
+    right in turn, the nearest two at `nearest_m`, the others `LANE_ROOM_M` farther out each.
+
+    Args:
+        rng: of heading, phases and heights.
+        vehicles: how many pass.
+        nearest_m: of the nearest lanes.
+        speed: on the straight, m/s.
+        height_m: of the ego vehicle.
+        sway_m: amplitude of the ego vehicle's sway.
+    """
+    numbers = np.arange(vehicles)
+    lanes = (nearest_m + LANE_ROOM_M * (numbers // 2)) * (1.0 - 2.0 * (numbers % 2))
+    heading = rng.uniform(0.0, 2.0 * np.pi)
+    straight_s, turn_s = 2.0 * PASS_REACH_M / speed, 2.0 * speed / _TURN_MPS2
+    # Nobody is turning at the start, and all pass within the first lap.
+    phases = rng.uniform(0.2, 0.45, vehicles) * straight_s
+    heights = height_m + np.abs(lanes) * np.tan(np.radians(rng.uniform(2.0, 8.0, vehicles)))
+    own_phases = rng.uniform(0.0, 2.0 * np.pi, 3)
+
+    def plan(t: float) -> FloatArray:
+        own = sway_m * np.sin(np.array([0.4, 0.53, 0.37]) * t + own_phases) + [0.0, 0.0, height_m]
+        lap, late = np.divmod(t + phases, straight_s + turn_s)
+        turning = np.maximum(late - straight_s, 0.0)
+        along = speed * (np.minimum(late, straight_s) + turning) - 0.5 * _TURN_MPS2 * turning**2
+        along = (along - PASS_REACH_M) * np.where(lap % 2 == 0, 1.0, -1.0)
+        c, s = np.cos(heading), np.sin(heading)
+        return np.vstack([own, np.column_stack([c * along - s * lanes, s * along + c * lanes, heights])])
 
     return plan
 

@@ -14,7 +14,7 @@ from sitl.bench.swarm_flights import SwarmScene as SwarmScene
 from sitl.bench.swarm_flights import SwarmStep as SwarmStep
 from sitl.bench.swarm_flights import move as move
 from sitl.bench.swarm_flights import stream as stream
-from sitl.bench.swarm_motion import Plan, Ring, figure_eight, procession, rings
+from sitl.bench.swarm_motion import Plan, Ring, figure_eight, passes, procession, rings
 from sitl.bench.swarm_truth import MapFrame as MapFrame
 from sitl.bench.swarm_truth import NeighbourSights as NeighbourSights
 from sitl.wind import WindSettings
@@ -25,6 +25,7 @@ from sitl.worlds.uav_body import UavBodySettings
 
 _HEIGHT_M = 1.6
 _ROOM_BETWEEN_M = 1.1
+_PASSING_MPS = 2.0
 _PLANNED_S = 120.0
 
 
@@ -34,7 +35,7 @@ class SwarmSettings(Settings):
     uavs: int = Field(default=5, ge=1, le=20)
     """Vehicles, the ego vehicle included."""
     range_m: float = Field(default=5.0, ge=1.0, le=15.0)
-    """Distance of the neighbours in `ring` and `hover`."""
+    """Distance of the neighbours in `ring` and `hover`, and of the nearest lanes in `pass`."""
     distractors: DistractorSettings | None = None
     """Signs, vests and tape on poles and pillars that stand about; none by default."""
     body: UavBodySettings = UavBodySettings()
@@ -51,6 +52,11 @@ def _hover(rng: Generator, settings: SwarmSettings) -> SwarmScene:
     _check_room(settings)
     wanted = [Ring(settings.range_m, settings.uavs - 1, speed=0.0, breath_m=0.0)]
     return _staged(rng, settings, _open(rng), rings(rng, wanted, _HEIGHT_M, 0.0))
+
+
+def _pass(rng: Generator, settings: SwarmSettings) -> SwarmScene:
+    plan = passes(rng, settings.uavs - 1, settings.range_m, _PASSING_MPS, _HEIGHT_M, 0.2)
+    return _staged(rng, settings, _open(rng), plan)
 
 
 def _crowd(rng: Generator, settings: SwarmSettings) -> SwarmScene:
@@ -101,6 +107,7 @@ def _staged(rng: Generator, settings: SwarmSettings, world: World, plan: Plan) -
 SCENES: dict[str, Callable[[Generator, SwarmSettings], SwarmScene]] = {
     "ring": _ring,
     "hover": _hover,
+    "pass": _pass,
     "weave": _weave,
     "aggressive": _aggressive,
     "crowd": _crowd,

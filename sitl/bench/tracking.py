@@ -49,7 +49,7 @@ class Case:
     @property
     def name(self) -> str:
         """Return the scene, with the range where it was chosen."""
-        return f"{self.scene} {self.range_m:g} m" if self.scene in ("ring", "hover") else self.scene
+        return f"{self.scene} {self.range_m:g} m" if self.scene in ("ring", "hover", "pass") else self.scene
 
 
 CASES: tuple[Case, ...] = (
@@ -59,6 +59,8 @@ CASES: tuple[Case, ...] = (
     Case("ring", 5, 7.0),
     Case("ring", 5, 9.0),
     Case("ring", 5, 11.0),
+    Case("pass", 4, 2.0),
+    Case("pass", 4, 3.0, distractors=True),
     Case("hover", 4, 4.0, distractors=True),
     Case("crowd", 1, distractors=True),
     Case("crowd", 10),

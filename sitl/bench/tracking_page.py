@@ -68,8 +68,9 @@ DEFINITIONS = (
     "share with a validated track within 0.5 m. Precision: of the validated tracks seen within the last "
     "0.5 s, the share within 0.5 m of a neighbour. Errors are relative to the own pose, over all three axes; "
     "steady: where the neighbour changed its velocity by less than 0.7 m/s^2. NEES: squared error by "
-    "covariance and degree of freedom, 1 if the covariance is true. Acquired: time from coming into sight "
-    "until validated. Latency: processor time of the tracker for one scan."
+    "covariance and degree of freedom, 1 if the covariance is true, with the 95 % bounds of that mean if "
+    "errors a second apart are independent. Velocity axes: along the line of sight, across, up. Acquired: "
+    "time from coming into sight until validated. Latency: processor time of the tracker for one scan."
 )
 
 _PLOTS: tuple[tuple[str, str, Callable[[Row], float | None]], ...] = (
@@ -113,8 +114,10 @@ def shown(row: Row) -> dict[str, str]:
         "p cm": _cell(row.position_rmse_m, 1, 100.0),
         "v m/s": _cell(row.velocity_rmse_mps, 2),
         "steady v": _cell(row.velocity_rmse_steady_mps, 2),
+        "v axes": _axes(row.velocity_rmse_axes_mps),
         "NEES p": _cell(row.position_nees, 2),
         "NEES v": _cell(row.velocity_nees, 2),
+        "NEES 95 %": _bounds(row.position_nees_bounds),
         "switches/min": switches,
         "acquired s": _cell(row.acquired_s, 1) if row.band_m == "all" else "",
         "ms": _cell(row.latency_ms, 1) if row.band_m == "all" else "",
@@ -162,6 +165,14 @@ def _case(row: Row) -> str:
 
 def _cell(value: float | None, digits: int, scale: float = 1.0) -> str:
     return "-" if value is None else f"{scale * value:.{digits}f}"
+
+
+def _axes(values: tuple[float, ...] | None) -> str:
+    return "-" if values is None else " ".join(f"{value:.2f}" for value in values)
+
+
+def _bounds(values: tuple[float, float] | None) -> str:
+    return "-" if values is None else f"{values[0]:.2f}-{values[1]:.2f}"
 
 
 def _table(rows: Sequence[Row]) -> str:

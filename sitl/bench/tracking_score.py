@@ -12,6 +12,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
+from scipy.special import chdtri
 
 from companion.clock import NANOSECONDS_PER_SECOND, seconds_to_ns
 from companion.geometry import rotation
@@ -29,7 +30,9 @@ ACQUIRE_S = 0.5
 """A neighbour counts as missed only after it could be seen without a break for this long."""
 
 BANDS_M = (0.0, 2.0, 4.0, 6.0, 8.0, 10.0, 12.0)
+"""Neighbours farther than the last one are beyond what the tracker looks at."""
 
+_INDEPENDENT_STEPS = 10  # errors of a track a second apart count as independent
 _STEADY_S = 0.5
 _STEADY_MPS2 = 0.7
 _SLACK_NS = 10_000_000  # scans end a little before or after their hundred milliseconds
@@ -54,7 +57,12 @@ class Row:
         velocity_rmse_mps: the same of the velocity.
         velocity_rmse_steady_mps: the same where the neighbour hardly accelerated.
         position_nees: mean squared error by covariance and degree of freedom; 1 if the covariance is true.
-        velocity_nees: the same.
+        position_nees_bounds: where that mean lies in 95 % of all runs, if the covariance is true and errors
+            a second apart are independent.
+        velocity_nees: the same as for the position...
+        velocity_nees_bounds: ...with its bounds.
+        position_rmse_axes_m: along the line of sight, across it and upwards.
+        velocity_rmse_axes_mps: the same.
         id_switches_per_min: changes of a neighbour's track number, by minute of flight.
         acquired_s: median time from coming into sight until validated.
         latency_ms: median processor time of the tracker for one scan.
@@ -75,7 +83,11 @@ class Row:
     velocity_rmse_mps: float | None
     velocity_rmse_steady_mps: float | None
     position_nees: float | None
+    position_nees_bounds: tuple[float, float] | None
     velocity_nees: float | None
+    velocity_nees_bounds: tuple[float, float] | None
+    position_rmse_axes_m: tuple[float, ...] | None
+    velocity_rmse_axes_mps: tuple[float, ...] | None
     id_switches_per_min: float
     acquired_s: float | None
     latency_ms: float | None
@@ -93,8 +105,8 @@ class _Sight:
     range_m: float
     counted: bool
     steady: bool
-    square_p: float | None = None
-    square_v: float | None = None
+    error_p: FloatArray | None = None
+    error_v: FloatArray | None = None
     nees_p: float | None = None
     nees_v: float | None = None
 
@@ -163,13 +175,14 @@ class Score:
         rows, columns = linear_sum_assignment(np.where(away <= MATCH_M, away, 1e3))
         matches = {int(i): current[j] for i, j in zip(rows, columns, strict=True) if away[i, j] <= MATCH_M}
         for i in range(len(p_true)):
-            counted = self._note(i, t_ns, bool(sights.visible[i]), i in matches)
+            visible = bool(sights.visible[i]) and float(sights.range_m[i]) < BANDS_M[-1]
+            counted = self._note(i, t_ns, visible, i in matches)
             sight = _Sight(float(sights.range_m[i]), counted, bool(steady[i]))
             if i in matches:
                 track = matches[i]
                 self._switches += int(self._numbers.get(i, track.track_id) != track.track_id)
                 self._numbers[i] = track.track_id
-                sight = _errors(sight, track, p_true[i], v_true[i])
+                sight = _errors(sight, track, p_true[i], v_true[i], odometry.p_map)
             self._sights.append(sight)
 
     def _note(self, i: int, t_ns: int, visible: bool, found: bool) -> bool:
@@ -203,7 +216,10 @@ class Score:
         rows = []
         for name, low, high in limits:
             counted = [sight for sight in self._sights if sight.counted and low <= sight.range_m < high]
-            matched = [sight for sight in counted if sight.square_p is not None]
+            matched = [sight for sight in counted if sight.error_p is not None]
+            e_p, e_v = _stacked([s.error_p for s in matched]), _stacked([s.error_v for s in matched])
+            steady = _stacked([s.error_v for s in matched if s.steady])
+            bounds = _nees_bounds(len(matched) // _INDEPENDENT_STEPS)
             steps = [true for far, true in self._steps if low <= far < high]
             if name != "all" and not counted and not steps:
                 continue
@@ -219,11 +235,15 @@ class Score:
                     track_steps=len(steps),
                     detection_rate=len(matched) / len(counted) if counted else None,
                     precision=sum(steps) / len(steps) if steps else None,
-                    position_rmse_m=_root(_mean([sight.square_p for sight in matched])),
-                    velocity_rmse_mps=_root(_mean([sight.square_v for sight in matched])),
-                    velocity_rmse_steady_mps=_root(_mean([s.square_v for s in matched if s.steady])),
+                    position_rmse_m=_rmse(e_p),
+                    velocity_rmse_mps=_rmse(e_v),
+                    velocity_rmse_steady_mps=_rmse(steady),
                     position_nees=_mean([sight.nees_p for sight in matched]),
+                    position_nees_bounds=bounds,
                     velocity_nees=_mean([sight.nees_v for sight in matched]),
+                    velocity_nees_bounds=bounds,
+                    position_rmse_axes_m=_rmse_axes(e_p),
+                    velocity_rmse_axes_mps=_rmse_axes(e_v),
                     id_switches_per_min=self._switches / max(self._flown_ns * 1e-9 / 60.0, 1e-9),
                     acquired_s=float(np.median(self._acquired_s)) if self._acquired_s else None,
                     latency_ms=float(np.median(self._cpu_ms)) if self._cpu_ms else None,
@@ -243,14 +263,19 @@ def _in_estimated_map(
     return p_map, rotation.rotate(turn, frame.velocities(sights.v_world))
 
 
-def _errors(sight: _Sight, track: NeighbourTrack, p_true: FloatArray, v_true: FloatArray) -> _Sight:
+def _errors(
+    sight: _Sight, track: NeighbourTrack, p_true: FloatArray, v_true: FloatArray, p_own: FloatArray
+) -> _Sight:
     e_p, e_v = track.p_map - p_true, track.v_map - v_true
+    along = (p_true - p_own) / max(float(np.linalg.norm(p_true - p_own)), 1e-9)
+    across = np.array([-along[1], along[0], 0.0]) / max(float(np.hypot(along[0], along[1])), 1e-9)
+    axes = np.array([along, across, np.cross(along, across)])
     return _Sight(
         sight.range_m,
         sight.counted,
         sight.steady,
-        float(e_p @ e_p),
-        float(e_v @ e_v),
+        axes @ e_p,
+        axes @ e_v,
         float(e_p @ np.linalg.solve(track.covariance[:3, :3], e_p)) / 3.0,
         float(e_v @ np.linalg.solve(track.covariance[3:, 3:], e_v)) / 3.0,
     )
@@ -261,5 +286,21 @@ def _mean(values: list[float] | list[float | None]) -> float | None:
     return float(np.mean(known)) if known else None
 
 
-def _root(value: float | None) -> float | None:
-    return None if value is None else float(np.sqrt(value))
+def _stacked(errors: list[FloatArray | None]) -> FloatArray:
+    return np.array([error for error in errors if error is not None]).reshape(-1, 3)
+
+
+def _rmse(errors: FloatArray) -> float | None:
+    return float(np.sqrt(np.mean(np.sum(errors**2, axis=1)))) if len(errors) else None
+
+
+def _rmse_axes(errors: FloatArray) -> tuple[float, ...] | None:
+    return tuple(np.sqrt(np.mean(errors**2, axis=0)).tolist()) if len(errors) else None
+
+
+def _nees_bounds(samples: int) -> tuple[float, float] | None:
+    """Return the 95 % bounds of the mean of independent normalised squares of three axes each."""
+    freedom = 3 * samples
+    if not freedom:
+        return None
+    return float(chdtri(freedom, 0.975) / freedom), float(chdtri(freedom, 0.025) / freedom)

@@ -7,6 +7,15 @@ import numpy as np
 from companion.messages import FloatArray
 from companion.perception.tracking.settings import TrackingSettings
 
+_TAPE_WEIGHT = 3.0
+_TAPE_TELLS = np.array([1.0, 0.0, 1.0])
+# How far points scatter about their mean along the beam, across it (in radii) and upwards (in heights);
+# beams fall more evenly than by chance, so across a body the mean is better than the scatter says.
+_TAPE_SCATTER = np.array([0.25, 0.0, 0.25])
+_DIM_SCATTER = np.array([0.56, 0.0, 0.55])
+_WIDTH_SCATTER = 0.5
+# How much nearer than the outline's mean that mean is.
+_TAPE_DEPTH, _DIM_DEPTH = 1.3, 0.85
 _BEYOND_M = 0.13, 0.09  # arms, rotors and legs reach beyond the cylinder
 
 
@@ -29,6 +38,45 @@ def visible_surface(direction_map: FloatArray, radius_m: float, height_m: float)
     inward = 0.25 * math.pi * radius_m / max(flat, 1e-9)
     downward = math.copysign(0.5 * height_m, z)
     return np.array([-side * inward * x, -side * inward * y, -(1.0 - side) * downward])
+
+
+def seen_of(
+    dim: int, bright: int, tape_map: FloatArray, direction_map: FloatArray, settings: TrackingSettings
+) -> tuple[FloatArray, FloatArray]:
+    """Return the way from the mean of a body's points to its centre (3,), and how surely that is it.
+
+    Tape is on the hull and in its middle; arms, rotors and legs, which have none, are all around it. So
+    bright points tell more of the distance and the height; across the beam all tell the same.
+
+    Args:
+        dim: number of points that are not bright.
+        bright: number of bright ones.
+        tape_map: (3,) from the mean of all points to that of the bright ones.
+        direction_map: (3,) from the sensor to the body, any length above 0.
+        settings: size of the body.
+
+    Returns:
+        The way, and the variance (3,) of its end along the beam, across it and upwards, m^2.
+    """
+    radius, height = settings.body_radius_m, settings.body_height_m
+    weighed = _TAPE_WEIGHT * bright
+    total = max(weighed + dim, 1.0)
+    axes = sight_axes(direction_map)
+    towards_tape = ((_TAPE_WEIGHT - 1.0) * bright / total) * (axes @ tape_map) * _TAPE_TELLS
+    depth = (_TAPE_DEPTH * weighed + _DIM_DEPTH * dim) / total
+    size = settings.scatter_factor * np.array([radius, radius, height])
+    variances = _TAPE_WEIGHT * weighed * (_TAPE_SCATTER * size) ** 2 + dim * (_DIM_SCATTER * size) ** 2
+    variances /= total**2
+    variances[1] = (_WIDTH_SCATTER * size[1]) ** 2 / max(bright + dim, 1)
+    return towards_tape @ axes - depth * visible_surface(direction_map, radius, height), variances
+
+
+def sight_axes(direction_map: FloatArray) -> FloatArray:
+    """Return the axes of sight (3, 3), one a row: along the beam, across it and level, upwards."""
+    along = direction_map / np.linalg.norm(direction_map)
+    flat = math.hypot(along[0], along[1])
+    across = np.array([-along[1], along[0], 0.0]) / flat if flat > 1e-6 else np.array([0.0, 1.0, 0.0])
+    return np.array([along, across, np.cross(along, across)])
 
 
 def outline_m(settings: TrackingSettings) -> tuple[float, float]:

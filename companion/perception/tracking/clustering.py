@@ -49,9 +49,11 @@ class Cluster:
         bright: number of bright ones in the stack.
         centre_map: (3,) mean of the whole stack, moved to now.
         size_m: (3,) extent along the map's axes, moved to now.
+        fresh_bright: number of bright ones from the newest scan.
         measured_map: (3,) mean of the newest scan's points where they were measured; without
             any, the same as `centre_map`.
-        age_s: how long ago that was, on average.
+        tape_map: (3,) from the mean of the newest scan's points to that of the bright ones among them.
+        age_s: how long ago they were measured, on average.
         range_m: from the sensor to `centre_map`.
         velocity_map: (3,) as the points themselves show it, zero where they do not, m/s.
         speed_sigma: its standard deviation on each axis, infinite where they do not.
@@ -60,9 +62,11 @@ class Cluster:
     points: int
     fresh: int
     bright: int
+    fresh_bright: int
     centre_map: FloatArray
     size_m: FloatArray
     measured_map: FloatArray
+    tape_map: FloatArray
     age_s: float
     range_m: float
     velocity_map: FloatArray = field(default_factory=lambda: np.zeros(3))
@@ -211,7 +215,10 @@ def describe(
     clusters = []
     for k in order:
         row = table[k]
-        fresh = row[kernels.FRESH]
+        fresh, bright = row[kernels.FRESH], row[kernels.FRESH_BRIGHT]
+        tape_map = np.zeros(3)
+        if bright:
+            tape_map = row[kernels.FRESH_BRIGHT_SUM] / bright - row[kernels.FRESH_MOVED_SUM] / fresh
         velocity_map, speed_sigma = (velocities or {}).get(int(names[k]), still)
         clusters.append(
             Cluster(
@@ -220,7 +227,9 @@ def describe(
                 bright=int(row[kernels.BRIGHT]),
                 centre_map=middles[k],
                 size_m=row[kernels.HIGH] - row[kernels.LOW],
+                fresh_bright=int(bright),
                 measured_map=row[kernels.FRESH_SUM] / fresh if fresh else middles[k],
+                tape_map=tape_map,
                 age_s=float(row[kernels.FRESH_AGE] / fresh) if fresh else 0.0,
                 range_m=float(ranges[k]),
                 velocity_map=velocity_map,

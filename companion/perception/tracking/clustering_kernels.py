@@ -19,7 +19,9 @@ FRESH_SUM = slice(7, 10)  # of points as measured
 FRESH_AGE = 10
 LOW = slice(11, 14)
 HIGH = slice(14, 17)
-SUMMARY_WIDTH = 17
+FRESH_MOVED_SUM = slice(17, 20)
+FRESH_BRIGHT_SUM = slice(20, 23)  # of moved points
+SUMMARY_WIDTH = 23
 
 
 @inlined
@@ -193,3 +195,5 @@ def summarise(
             summary[k, 10] += ages_s[i]
             for c in range(3):
                 summary[k, 7 + c] += measured[i, c]
+                summary[k, 17 + c] += moved[i, c]
+                summary[k, 20 + c] += bright[i] * moved[i, c]

@@ -26,7 +26,7 @@ class MotionFilter:
         p_map: FloatArray,
         covariance_p: FloatArray,
         speed_sigma: float,
-        acceleration_sigma: float,
+        acceleration_sigma: tuple[float, float],
         fading_s: float,
         v_map: FloatArray | None = None,
     ) -> None:
@@ -36,15 +36,15 @@ class MotionFilter:
             p_map: (3,) m.
             covariance_p: (3, 3) m^2.
             speed_sigma: standard deviation of each axis of the velocity, m/s.
-            acceleration_sigma: the same of the acceleration, m/s^2.
+            acceleration_sigma: the same of the acceleration, level and upwards, m/s^2.
             fading_s: its time constant.
             v_map: (3,) expected velocity, m/s; zero by default.
         """
         self._acceleration_sigma, self._fading_s = acceleration_sigma, fading_s
         self._filter = KalmanFilter(dim_x=9, dim_z=3)
         self._filter.x = np.concatenate([p_map, np.zeros(3) if v_map is None else v_map, np.zeros(3)])
-        variances = [0.0] * 3 + [speed_sigma**2] * 3 + [acceleration_sigma**2 * (fading_s > 0.0)] * 3
-        self._filter.P = np.diag(variances)
+        level, upwards = acceleration_sigma if fading_s > 0.0 else (0.0, 0.0)
+        self._filter.P = np.diag([0.0] * 3 + [speed_sigma**2] * 3 + [level**2, level**2, upwards**2])
         self._filter.P[_P, _P] = covariance_p
 
     @property
@@ -98,9 +98,9 @@ class MotionFilter:
         self._filter.P = 0.5 * (self._filter.P + self._filter.P.T)
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=128)
 def _transition(
-    dt_s: float, acceleration_sigma: float, fading_s: float, white_density: float
+    dt_s: float, acceleration_sigma: tuple[float, float], fading_s: float, white_density: float
 ) -> tuple[FloatArray, FloatArray]:
     """Return transition and noise (9, 9) each.
 
@@ -113,10 +113,11 @@ def _transition(
     Q[axes, axes + 3] = Q[axes + 3, axes] = white_density * dt_s**2 / 2.0
     Q[axes + 3, axes + 3] = white_density * dt_s
     if fading_s > 0.0:
-        density = 2.0 * acceleration_sigma**2 / fading_s
+        level, upwards = acceleration_sigma
+        density = 2.0 / fading_s * np.diag([level**2, level**2, upwards**2])
         for share, weight in ((0.0, 1.0), (0.25, 4.0), (0.5, 2.0), (0.75, 4.0), (1.0, 1.0)):
             push = _drift(share * dt_s, fading_s)[:, _A]
-            Q += density * dt_s * weight / 12.0 * push @ push.T
+            Q += dt_s * weight / 12.0 * push @ density @ push.T
     return F, Q
 
 

@@ -107,8 +107,8 @@ class TrackingSettings(Settings):
     most_tracks: int = Field(default=48, ge=1, le=200)
     """Most tracks at once, candidates included; the nearest clusters come first."""
 
-    point_sigma_m: float = Field(default=0.056, gt=0.0, le=1.0)
-    """How far points on a body scatter about where its model has their mean, on each axis."""
+    scatter_factor: float = Field(default=1.0, gt=0.0, le=10.0)
+    """Multiplies how far single points of a body scatter about their mean in its model."""
     shape_sigma_m: float = Field(default=0.01, ge=0.0, le=0.5)
     """How far that mean may be off, whatever the number of points, along the beam and upwards; half as
     much across."""
@@ -120,14 +120,16 @@ class TrackingSettings(Settings):
     degraded_factor: float = Field(default=4.0, ge=1.0, le=100.0)
     """Multiplies both while the odometry is degraded."""
     acceleration_sigma: float = Field(default=0.7, ge=0.0, le=50.0)
-    """Standard deviation of each axis of a neighbour's acceleration, m/s^2..."""
-    acceleration_fading_s: float = Field(default=0.9, ge=0.0, le=20.0)
+    """Standard deviation of each level axis of a neighbour's acceleration, m/s^2..."""
+    acceleration_up_sigma: float = Field(default=0.3, ge=0.0, le=50.0)
+    """...and of its acceleration upwards..."""
+    acceleration_fading_s: float = Field(default=1.2, ge=0.0, le=20.0)
     """...and for how long it lasts; 0 for plain constant velocity with white acceleration."""
     lost_fading_s: float = Field(default=1.5, gt=0.0, le=100.0)
     """How long a lost neighbour is believed to go on as it went..."""
     lost_speed_sigma: float = Field(default=1.0, ge=0.0, le=20.0)
     """...before its speed may be anything of this standard deviation on each axis, m/s."""
-    acceleration_density: float = Field(default=0.02, gt=0.0, le=100.0)
+    acceleration_density: float = Field(default=0.01, gt=0.0, le=100.0)
     """Density of its white acceleration (gusts), m^2/s^3."""
     initial_speed_sigma: float = Field(default=1.5, gt=0.0, le=20.0)
     """Standard deviation of a new neighbour's speed on each axis, m/s."""

@@ -6,7 +6,7 @@ import numpy as np
 
 from companion.clock import NANOSECONDS_PER_SECOND
 from companion.messages import FloatArray, NeighbourTrack
-from companion.perception.tracking.body import visible_surface, whole_body_points
+from companion.perception.tracking.body import seen_of, sight_axes, whole_body_points
 from companion.perception.tracking.clustering import Cluster
 from companion.perception.tracking.motion_filter import MotionFilter
 from companion.perception.tracking.settings import TrackingSettings
@@ -37,21 +37,16 @@ def measurement(
     """
     away = cluster.measured_map - sensor_map
     range_m = max(float(np.linalg.norm(away)), 1e-3)
-    offset = visible_surface(away, settings.body_radius_m, settings.body_height_m)
-    variance = settings.point_sigma_m**2 / max(cluster.fresh, 1) + settings.shape_sigma_m**2
+    dim, axes = cluster.fresh - cluster.fresh_bright, sight_axes(away)
+    shift, variances = seen_of(dim, cluster.fresh_bright, cluster.tape_map, away, settings)
+    variances += settings.shape_sigma_m**2 * np.array([1.0, 0.25, 1.0])
     if hidden:
         # The middle of the rest is not the body's.
         share = max(_LEAST_HIDDEN, 1.0 - cluster.fresh / whole_body_points(range_m, settings))
-        variance += (share * settings.body_radius_m) ** 2
-    R = variance * np.eye(3)
-    across = np.array([-away[1], away[0], 0.0])
-    length = float(np.linalg.norm(across))
-    if length > 1e-6:
-        R -= 0.75 * settings.shape_sigma_m**2 * np.outer(across, across) / length**2
-    along = away / range_m
-    R += jitter[0] ** 2 * np.eye(3)
-    R += (jitter[1] * range_m) ** 2 * (np.eye(3) - np.outer(along, along))
-    return cluster.measured_map - (offset if settings.body_centre else 0.0), R
+        variances += (share * settings.body_radius_m) ** 2
+    variances += jitter[0] ** 2 + (jitter[1] * range_m) ** 2 * np.array([0.0, 1.0, 1.0])
+    R = axes.T @ (variances[:, None] * axes)
+    return cluster.measured_map + (shift if settings.body_centre else 0.0), R
 
 
 class Track:
@@ -91,7 +86,7 @@ class Track:
             z_map,
             R,
             min(settings.initial_speed_sigma, cluster.speed_sigma),
-            settings.acceleration_sigma,
+            (settings.acceleration_sigma, settings.acceleration_up_sigma),
             settings.acceleration_fading_s,
             cluster.velocity_map,
         )

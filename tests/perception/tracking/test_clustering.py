@@ -133,3 +133,5 @@ def test_a_cluster_tells_its_points_and_where_the_newest_were_measured() -> None
     assert cluster.age_s == pytest.approx(0.03)
     assert cluster.centre_map == pytest.approx([3.2, 1 / 30, 0.0])
     assert cluster.size_m == pytest.approx([0.2, 0.1, 0.0])
+    assert cluster.fresh_bright == 1
+    assert cluster.tape_map == pytest.approx([-0.1, 0.0, 0.0])

@@ -3,13 +3,14 @@ import pytest
 from scipy.linalg import expm
 
 from companion.perception.tracking.association import gated_costs, global_pairs, greedy_pairs
-from companion.perception.tracking.body import visible_surface
+from companion.perception.tracking.body import seen_of, sight_axes, visible_surface
 from companion.perception.tracking.motion_filter import MotionFilter
+from companion.perception.tracking.settings import TrackingSettings
 
 
 def test_prediction_equals_the_integral_of_the_model() -> None:
     sigma, fading, dt, white = 1.3, 0.7, 0.25, 0.4
-    motion = MotionFilter(np.zeros(3), 0.01 * np.eye(3), 1.0, sigma, fading)
+    motion = MotionFilter(np.zeros(3), 0.01 * np.eye(3), 1.0, (sigma, 0.5 * sigma), fading)
     motion.predict(dt, white)
     # Van Loan's method on one axis.
     A = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, -1.0 / fading]])
@@ -18,10 +19,11 @@ def test_prediction_equals_the_integral_of_the_model() -> None:
     F = block[3:, 3:].T
     expected = F @ np.diag([0.01, 1.0, sigma**2]) @ F.T + F @ block[:3, 3:]
     assert motion.covariance[::3, ::3] == pytest.approx(expected[:2, :2], rel=1e-4)
+    assert motion.covariance[5, 5] < motion.covariance[3, 3]
 
 
 def test_a_measurement_of_the_past_moves_the_present() -> None:
-    motion = MotionFilter(np.zeros(3), 1e-6 * np.eye(3), 2.0, 0.0, 0.0)
+    motion = MotionFilter(np.zeros(3), 1e-6 * np.eye(3), 2.0, (0.0, 0.0), 0.0)
     for step in range(1, 30):
         motion.predict(0.1, 1e-3)
         then = 0.1 * step - 0.06
@@ -79,3 +81,18 @@ def test_a_measurement_of_a_fast_body_is_compared_where_it_was() -> None:
     assert not np.isfinite(
         gated_costs(states, 1e-4 * np.eye(6)[None], where_it_was, noises, np.zeros(1), 16.0)
     ).any()
+
+
+def test_the_tape_tells_distance_and_height_but_not_the_side() -> None:
+    away, settings = np.array([5.0, 0.0, 0.0]), TrackingSettings()
+    tape_map = np.array([-0.03, 0.05, 0.02])
+    without, loose = seen_of(8, 0, np.zeros(3), away, settings)
+    shift, sure = seen_of(4, 4, tape_map, away, settings)
+    assert np.all(sure <= loose)
+    assert sure[0] < 0.6 * loose[0]
+    assert sure[1] == loose[1]
+    assert shift[1] == pytest.approx(0.0, abs=1e-12)
+    assert 0.0 < shift[2] < 0.02
+    # The nearer the points lie to the sensor, the farther behind them is the middle.
+    assert without[0] > 0.0
+    assert np.cross(*sight_axes(away)[:2]) == pytest.approx([0.0, 0.0, 1.0])

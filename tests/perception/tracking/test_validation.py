@@ -12,7 +12,7 @@ SETTINGS = TrackingSettings()
 
 
 def standing() -> MotionFilter:
-    return MotionFilter(np.array([4.0, 0.0, 1.5]), 1e-4 * np.eye(3), 0.1, 0.5, 1.0)
+    return MotionFilter(np.array([4.0, 0.0, 1.5]), 1e-4 * np.eye(3), 0.1, (0.5, 0.5), 1.0)
 
 
 def counts(body: float = 8.0, below: float = 0.0, beside: float = 0.0) -> np.ndarray:

@@ -91,7 +91,9 @@ def _moved(wanted: SwarmScene, seconds: float) -> tuple[FloatArray, FloatArray, 
     return times[later], p_world[later], v_world[later]
 
 
-@pytest.mark.parametrize(("name", "uavs"), [("ring", 6), ("weave", 5), ("aggressive", 5), ("crowd", 20)])
+@pytest.mark.parametrize(
+    ("name", "uavs"), [("ring", 6), ("weave", 5), ("aggressive", 5), ("crowd", 20), ("pass", 5)]
+)
 def test_nobody_touches_anything(name: str, uavs: int) -> None:
     wanted = scene(name, 3, SwarmSettings(uavs=uavs, range_m=2.0, distractors=DistractorSettings()))
     times, p_world, _ = _moved(wanted, 14.0)
@@ -110,6 +112,18 @@ def test_neighbours_of_a_ring_keep_their_range_at_up_to_two_metres_a_second() ->
     assert away.min() > 3.3
     assert away.max() < 4.8
     assert 1.6 < np.percentile(speeds, 98) < 2.4
+
+
+def test_those_who_pass_do_so_at_two_metres_a_second_and_turn_out_of_reach() -> None:
+    times, p_world, v_world = _moved(scene("pass", 3, SwarmSettings(uavs=5, range_m=2.0)), 25.0)
+    away = np.linalg.norm(p_world[:, 1:] - p_world[:, :1], axis=2)
+    speeds = np.linalg.norm(v_world[:, 1:] - v_world[:, :1], axis=2)
+    accelerations = np.linalg.norm(np.diff(v_world[:, 1:], axis=0), axis=2) / np.diff(times)[:, None]
+    inside = (away[1:] < 12.0) & (times[1:, None] > PLAN_START_S + 2.5)
+    assert 1.5 < away.min() < 2.5
+    assert away.max() > 13.0
+    assert speeds[1:][inside].mean() == pytest.approx(2.0, abs=0.1)
+    assert np.percentile(accelerations[inside], 95) < 0.4
 
 
 def test_the_aggressive_ego_vehicle_flies_fast_and_turns_at_ninety_degrees_a_second() -> None:

@@ -73,6 +73,9 @@ def test_truth_is_turned_into_the_map_and_errors_are_lengths() -> None:
     assert row.position_nees == pytest.approx(1.0 / 3.0)
     assert row.velocity_nees == pytest.approx(3.0)
     assert row.range_m == pytest.approx(np.sqrt(17.0))
+    assert row.position_rmse_axes_m is not None
+    assert np.linalg.norm(row.position_rmse_axes_m) == pytest.approx(0.1)
+    assert row.position_nees_bounds == pytest.approx((1.237 / 6.0, 14.449 / 6.0), rel=1e-3)
 
 
 def test_an_error_of_the_own_pose_is_not_the_trackers() -> None:
@@ -106,6 +109,11 @@ def test_nobody_is_missed_in_the_first_half_second_or_out_of_sight() -> None:
     assert score(lambda k, p: [track(1, p[0], k)] if k > 5 else []).detection_rate == 1.0
     assert score(lambda k, p: [track(1, p[0], k)] if k > 8 else []).detection_rate == pytest.approx(22 / 25)
     assert score(lambda k, p: [], visible=lambda k: k % 5 != 0).counted == 0
+
+
+def test_nobody_is_missed_beyond_the_trackers_range() -> None:
+    far = np.array([[14.0, 0.0, 1.0]])
+    assert score(lambda k, p: [], p_world=far).counted == 0
 
 
 def test_a_new_number_is_a_switch_and_another_neighbour_is_not() -> None:
