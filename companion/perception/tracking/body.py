@@ -30,7 +30,9 @@ def visible_surface(direction_map: FloatArray, radius_m: float, height_m: float)
         radius_m: of the upright cylinder.
         height_m: of the upright cylinder.
     """
-    x, y, z = (direction_map / np.linalg.norm(direction_map)).tolist()
+    x, y, z = direction_map.tolist()
+    length = math.sqrt(x * x + y * y + z * z)
+    x, y, z = x / length, y / length, z / length
     flat = math.hypot(x, y)
     side_area, cap_area = 2.0 * radius_m * height_m * flat, math.pi * radius_m**2 * abs(z)
     side = side_area / (side_area + cap_area)
@@ -41,7 +43,7 @@ def visible_surface(direction_map: FloatArray, radius_m: float, height_m: float)
 
 
 def seen_of(
-    dim: int, bright: int, tape_map: FloatArray, direction_map: FloatArray, settings: TrackingSettings
+    dim: int, bright: int, tape_map: FloatArray, axes: FloatArray, settings: TrackingSettings
 ) -> tuple[FloatArray, FloatArray]:
     """Return the way from the mean of a body's points to its centre (3,), and how surely that is it.
 
@@ -52,7 +54,7 @@ def seen_of(
         dim: number of points that are not bright.
         bright: number of bright ones.
         tape_map: (3,) from the mean of all points to that of the bright ones.
-        direction_map: (3,) from the sensor to the body, any length above 0.
+        axes: (3, 3) see `sight_axes`.
         settings: size of the body.
 
     Returns:
@@ -61,22 +63,23 @@ def seen_of(
     radius, height = settings.body_radius_m, settings.body_height_m
     weighed = _TAPE_WEIGHT * bright
     total = max(weighed + dim, 1.0)
-    axes = sight_axes(direction_map)
     towards_tape = ((_TAPE_WEIGHT - 1.0) * bright / total) * (axes @ tape_map) * _TAPE_TELLS
     depth = (_TAPE_DEPTH * weighed + _DIM_DEPTH * dim) / total
     size = settings.scatter_factor * np.array([radius, radius, height])
     variances = _TAPE_WEIGHT * weighed * (_TAPE_SCATTER * size) ** 2 + dim * (_DIM_SCATTER * size) ** 2
     variances /= total**2
     variances[1] = (_WIDTH_SCATTER * size[1]) ** 2 / max(bright + dim, 1)
-    return towards_tape @ axes - depth * visible_surface(direction_map, radius, height), variances
+    return towards_tape @ axes - depth * visible_surface(axes[0], radius, height), variances
 
 
 def sight_axes(direction_map: FloatArray) -> FloatArray:
     """Return the axes of sight (3, 3), one a row: along the beam, across it and level, upwards."""
-    along = direction_map / np.linalg.norm(direction_map)
-    flat = math.hypot(along[0], along[1])
-    across = np.array([-along[1], along[0], 0.0]) / flat if flat > 1e-6 else np.array([0.0, 1.0, 0.0])
-    return np.array([along, across, np.cross(along, across)])
+    x, y, z = direction_map.tolist()
+    length = math.sqrt(x * x + y * y + z * z)
+    x, y, z = x / length, y / length, z / length
+    flat = math.hypot(x, y)
+    left, ahead = (-y / flat, x / flat) if flat > 1e-6 else (0.0, 1.0)
+    return np.array([[x, y, z], [left, ahead, 0.0], [-z * ahead, z * left, x * ahead - y * left]])
 
 
 def outline_m(settings: TrackingSettings) -> tuple[float, float]:

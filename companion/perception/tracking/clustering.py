@@ -118,7 +118,8 @@ def find_clusters(
 def _share_out(labels: NDArray[np.int32], count: int, points: FilteredPoints) -> int:
     """Divide clusters in which several tracks have points: bodies that pass closely look like one."""
     claimed = (labels >= 0) & (points.owners >= 0) & (points.owners < points.tracks)
-    pairs = np.unique(np.column_stack([labels[claimed], points.owners[claimed]]), axis=0)
+    keys = np.unique(labels[claimed].astype(np.int64) * max(points.tracks, 1) + points.owners[claimed])
+    pairs = np.column_stack(np.divmod(keys, max(points.tracks, 1)))
     for label in np.flatnonzero(np.bincount(pairs[:, 0], minlength=1) > 1):
         inside = np.flatnonzero(labels == label)
         owners, moved = points.owners[inside], points.moved_map[inside]
@@ -140,11 +141,16 @@ def _gather(
     Far away a body's points are farther apart than any epsilon that could still tell two bodies apart.
     """
     largest_m = 2.0 * (settings.body_radius_m + _REACH_BEYOND_BODY_M)
-    for owner in np.unique(points.owners[points.owners >= 0]):
-        mine = np.flatnonzero(points.owners == owner)
+    owned = np.flatnonzero(points.owners >= 0)
+    owned = owned[np.argsort(points.owners[owned], kind="stable")]
+    if not len(owned):
+        return
+    starts = np.flatnonzero(np.diff(points.owners[owned], prepend=-1))
+    lowest = np.minimum.reduceat(labels[owned], starts)
+    several = (lowest < 0) | (lowest < np.maximum.reduceat(labels[owned], starts))
+    pieces = np.split(owned, starts[1:])
+    for mine in [pieces[k] for k in np.flatnonzero(several)]:
         names, sizes = np.unique(labels[mine], return_counts=True)
-        if len(names) == 1 and names[0] >= 0:
-            continue
         if np.all(np.ptp(points.moved_map[mine], axis=0) <= largest_m):
             clusters = names >= 0
             if clusters.any():

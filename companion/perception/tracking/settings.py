@@ -104,6 +104,8 @@ class TrackingSettings(Settings):
     """A validated one stays for this much longer as 'last seen' and takes its number up again when found."""
     same_body_m: float = Field(default=0.5, gt=0.0, le=5.0)
     """Nothing new begins this near to a track, and of two tracks this near only one is true."""
+    most_untaped: int = Field(default=24, ge=1, le=200)
+    """Without tape anything small may be new: most tracks at once, and most places where one may begin."""
     most_tracks: int = Field(default=48, ge=1, le=200)
     """Most tracks at once, candidates included; the nearest clusters come first."""
 

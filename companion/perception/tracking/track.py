@@ -38,7 +38,7 @@ def measurement(
     away = cluster.measured_map - sensor_map
     range_m = max(float(np.linalg.norm(away)), 1e-3)
     dim, axes = cluster.fresh - cluster.fresh_bright, sight_axes(away)
-    shift, variances = seen_of(dim, cluster.fresh_bright, cluster.tape_map, away, settings)
+    shift, variances = seen_of(dim, cluster.fresh_bright, cluster.tape_map, axes, settings)
     variances += settings.shape_sigma_m**2 * np.array([1.0, 0.25, 1.0])
     if hidden:
         # The middle of the rest is not the body's.
@@ -90,7 +90,7 @@ class Track:
             settings.acceleration_fading_s,
             cluster.velocity_map,
         )
-        self.motion.predict(cluster.age_s, settings.acceleration_density)
+        self.motion.predict(round(cluster.age_s, 2), settings.acceleration_density)
         self.proof = Proof(settings, self.motion)
         self._newest = cluster
 

@@ -116,7 +116,8 @@ class NeighbourTracker:
             track.observe(t_ns, clusters[j], *measured[j])
         taken = {j for _, j in matches}
         free = [j for j in range(len(clusters)) if j not in taken]
-        free = [j for j in free if self._may_begin(clusters[j], measured[j][0])]
+        seen = np.array([track.motion.p_map for track in self._tracks if track.t_seen_ns == t_ns])
+        free = [j for j in free if self._may_begin(clusters[j], measured[j][0], seen.reshape(-1, 3))]
         found = self._pairs(lost, [measured[j] for j in free], [clusters[j].age_s for j in free], self._gate)
         found = [(i, k) for i, k in found if lost[i].expects(*measured[free[k]])]
         for i, k in found:
@@ -129,10 +130,18 @@ class NeighbourTracker:
         self._release()
         self._recognise()
         begun = [j for k, j in enumerate(free) if k not in {k for _, k in found}]
-        for j in begun[: max(self._settings.most_tracks - len(self._tracks), 0)]:
+        for j in begun[: self._room()]:
             self._tracks.append(Track(self._next_id, t_ns, clusters[j], *measured[j], self._settings))
             self._next_id += 1
         self._merge(t_ns)
+
+    def _room(self) -> int:
+        """Return how many tracks may begin."""
+        settings, count = self._settings, len(self._tracks)
+        if settings.tape is Tape.NONE:
+            current = sum(self._is_current(track) for track in self._tracks)
+            return max(min(settings.most_untaped - current, settings.most_tracks - count), 0)
+        return max(settings.most_tracks - count, 0)
 
     def _is_current(self, track: Track) -> bool:
         return self._t_ns is not None and track.unseen_s(self._t_ns) <= self._settings.inactive_s + 0.01
@@ -141,15 +150,14 @@ class NeighbourTracker:
         enough = self._settings.sparse_updates or is_enough(cluster, self._settings)
         return cluster.fresh > 0 and enough and is_small(cluster, self._settings)
 
-    def _may_begin(self, cluster: Cluster, z_map: FloatArray) -> bool:
-        """Return whether a cluster that belongs to no track seen now may be another UAV."""
+    def _may_begin(self, cluster: Cluster, z_map: FloatArray, seen_map: FloatArray) -> bool:
+        """Return whether a cluster that belongs to no track seen now, at `seen_map`, may be another UAV."""
         settings = self._settings
         if not is_enough(cluster, settings):
             return False
         if settings.tape is Tape.REFLECTIVE and cluster.bright_share <= settings.bright_share:
             return False
-        seen = [track.motion.p_map for track in self._tracks if track.t_seen_ns == self._t_ns]
-        away = np.linalg.norm(np.array(seen).reshape(-1, 3) - z_map, axis=1)
+        away = np.linalg.norm(seen_map - z_map, axis=1)
         return bool(np.min(away, initial=np.inf) > settings.same_body_m)
 
     def _matches(

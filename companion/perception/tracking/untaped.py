@@ -45,4 +45,4 @@ def compact_bodies(stack: StackedPoints, sensor_map: FloatArray, settings: Track
     small = (np.hypot(size[:, 0], size[:, 1]) <= settings.max_width_m) & (size[:, 2] <= settings.max_height_m)
     good = np.flatnonzero(small & (table[:, kernels.COUNT] >= np.maximum(wanted, 2.0)))
     order = good[np.argsort(away[good], kind="stable")]
-    return np.asarray(middles[order[: settings.most_tracks]])
+    return np.asarray(middles[order[: settings.most_untaped]])

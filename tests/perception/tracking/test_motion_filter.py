@@ -86,8 +86,8 @@ def test_a_measurement_of_a_fast_body_is_compared_where_it_was() -> None:
 def test_the_tape_tells_distance_and_height_but_not_the_side() -> None:
     away, settings = np.array([5.0, 0.0, 0.0]), TrackingSettings()
     tape_map = np.array([-0.03, 0.05, 0.02])
-    without, loose = seen_of(8, 0, np.zeros(3), away, settings)
-    shift, sure = seen_of(4, 4, tape_map, away, settings)
+    without, loose = seen_of(8, 0, np.zeros(3), sight_axes(away), settings)
+    shift, sure = seen_of(4, 4, tape_map, sight_axes(away), settings)
     assert np.all(sure <= loose)
     assert sure[0] < 0.6 * loose[0]
     assert sure[1] == loose[1]
