@@ -6,7 +6,9 @@ from sitl.autopilot_motion import MotionState
 from sitl.autopilot_parameters import Parameters
 
 _SAMPLE_AGE_MAX_NS = 300_000_000
-_SAMPLE_LEAD_MAX_NS = 20_000_000
+# PX4 keeps a sample from the future until its filter's horizon gets there. Here it is compared with the
+# newest state, which is harder on whoever sent it.
+_SAMPLE_LEAD_MAX_NS = 100_000_000
 _HORIZONTAL, _VERTICAL, _VELOCITY, _YAW = 1, 2, 4, 8
 _YAW_GAIN = 0.1
 _MAG_TYPE_NONE = 5
@@ -35,7 +37,7 @@ class VisionFusion:
     def fuse(self, t_ns: int, sample: ExternalVision, gnss_active: bool) -> None:
         """Fuse one sample that arrives at `t_ns`.
 
-        Samples older than 300 ms or from the future, below EKF2_EV_QMIN, or in a north-aligned frame
+        Samples older than 300 ms or more than 100 ms ahead, below EKF2_EV_QMIN, or in a north-aligned frame
         after an odometry frame was used, are dropped. GNSS takes precedence for position.
         """
         t_sample_ns = sample.t_ns - int(float(self._parameters["EKF2_EV_DELAY"]) * 1.0e6)
