@@ -11,8 +11,8 @@ _TAPE_WEIGHT = 3.0
 _TAPE_TELLS = np.array([1.0, 0.0, 1.0])
 # How far points scatter about their mean along the beam, across it (in radii) and upwards (in heights);
 # beams fall more evenly than by chance, so across a body the mean is better than the scatter says.
-_TAPE_SCATTER = np.array([0.25, 0.0, 0.25])
-_DIM_SCATTER = np.array([0.56, 0.0, 0.55])
+_TAPE_SCATTER = 0.25, 0.25
+_DIM_SCATTER = 0.56, 0.55
 _WIDTH_SCATTER = 0.5
 # How much nearer than the outline's mean that mean is.
 _TAPE_DEPTH, _DIM_DEPTH = 1.3, 0.85
@@ -63,13 +63,17 @@ def seen_of(
     radius, height = settings.body_radius_m, settings.body_height_m
     weighed = _TAPE_WEIGHT * bright
     total = max(weighed + dim, 1.0)
-    towards_tape = ((_TAPE_WEIGHT - 1.0) * bright / total) * (axes @ tape_map) * _TAPE_TELLS
     depth = (_TAPE_DEPTH * weighed + _DIM_DEPTH * dim) / total
-    size = settings.scatter_factor * np.array([radius, radius, height])
-    variances = _TAPE_WEIGHT * weighed * (_TAPE_SCATTER * size) ** 2 + dim * (_DIM_SCATTER * size) ** 2
-    variances /= total**2
-    variances[1] = (_WIDTH_SCATTER * size[1]) ** 2 / max(bright + dim, 1)
-    return towards_tape @ axes - depth * visible_surface(axes[0], radius, height), variances
+    shift = -depth * visible_surface(axes[0], radius, height)
+    if bright:
+        shift += ((_TAPE_WEIGHT - 1.0) * bright / total) * ((axes @ tape_map) * _TAPE_TELLS) @ axes
+    along, up = (
+        (_TAPE_WEIGHT * weighed * tape**2 + dim * rest**2) / total**2
+        for tape, rest in zip(_TAPE_SCATTER, _DIM_SCATTER, strict=True)
+    )
+    across = _WIDTH_SCATTER**2 / max(bright + dim, 1)
+    size = np.array([radius, radius, height])
+    return shift, np.array([along, across, up]) * (settings.scatter_factor * size) ** 2
 
 
 def sight_axes(direction_map: FloatArray) -> FloatArray:

@@ -104,12 +104,14 @@ class Track:
     @property
     def is_settled(self) -> bool:
         """Return whether its velocity is known well."""
-        return float(np.max(np.diagonal(self.motion.covariance)[3:6])) <= _SETTLED_SPEED_SIGMA**2
+        P = self.motion.covariance
+        return bool(max(P[3, 3], P[4, 4], P[5, 5]) <= _SETTLED_SPEED_SIGMA**2)
 
     @property
     def sigma_m(self) -> float:
         """Return the largest standard deviation of an axis of its position."""
-        return math.sqrt(float(np.max(np.diagonal(self.motion.covariance)[:3])))
+        P = self.motion.covariance
+        return math.sqrt(max(P[0, 0], P[1, 1], P[2, 2]))
 
     def unseen_s(self, t_ns: int) -> float:
         """Return for how long it has not been observed."""

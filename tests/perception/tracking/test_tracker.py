@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from companion.messages import NeighbourTrack, NeighbourTracks, OdometryStatus, RegisteredScan
-from companion.perception.tracking.settings import TrackingSettings
+from companion.perception.tracking.settings import Tape, TrackingSettings
 from companion.perception.tracking.tracker import NeighbourTracker
 from tests.perception.tracking.bodies import SENSOR, Post, Thing, Uav, odometry, scan
 
@@ -240,3 +240,17 @@ def test_the_published_method_finds_near_uavs_and_believes_tape_on_a_post() -> N
     fooled = [any(np.linalg.norm(p[:2] - 3.0) < 0.3 for p in now) for now in places]
     assert np.mean(found) > 0.8
     assert np.mean(fooled) > 0.5
+
+
+def test_without_tape_candidates_are_few_and_a_moving_body_is_still_found_among_them() -> None:
+    settings = TrackingSettings(tape=Tape.NONE)
+    tracker = NeighbourTracker(settings)
+    uav = Uav((3.0, -2.0, 1.8), (0.0, 1.0, 0.0), bright_share=0.0)
+    angles = np.linspace(0.4, 5.9, 40)
+    litter: list[Thing] = [
+        Uav((float(4.5 * np.cos(a)), float(4.5 * np.sin(a)), 1.7), bright_share=0.0) for a in angles
+    ]
+    results = follow([uav, *litter], 30, tracker)
+    assert max(len(tracks.tracks) for tracks in results) <= settings.most_untaped
+    (track,) = validated(results[-1])
+    assert np.linalg.norm(track.p_map - uav.at(3.0)) < 0.15
