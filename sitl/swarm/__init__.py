@@ -1,0 +1,1 @@
+"""Many vehicles in one world: what both fidelities of a swarm have in common."""
