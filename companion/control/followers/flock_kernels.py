@@ -1,0 +1,277 @@
+"""The `flock` law: follow those who lead away, keep apart, and never fly faster at anything than it allows.
+
+1. Where everybody is, a little ahead of now, those just out of sight included.
+2. Cohesion and the neighbours' own velocity, both weighted towards neighbours that fly away from here: they
+   lead, and the others come along by themselves.
+3. Separation, and stepping aside from whoever is about to pass too near.
+4. A gentle flow round obstacles.
+5. The wish is projected onto half-spaces: towards an obstacle at distance d, v.n <= a (d - margin); towards a
+   neighbour the same, plus a share of the neighbour's own velocity.
+"""
+
+import math
+
+from companion.compiled import inlined
+from companion.control.followers.flock_memory_kernels import (
+    recall_neighbour,
+    recall_obstacle,
+    remember_neighbours,
+    remember_obstacles,
+)
+from companion.control.followers.layout_kernels import (
+    AZIMUTHS,
+    EGO_ALONE,
+    EGO_DT,
+    EGO_HEIGHT,
+    EGO_V,
+    EGO_YAW,
+    FLOCK_BAND_ABOVE,
+    FLOCK_BAND_BELOW,
+    FLOCK_BELOW,
+    FLOCK_BODY_RADIUS,
+    FLOCK_COAST,
+    FLOCK_COHESION,
+    FLOCK_COLUMNS,
+    FLOCK_DODGE,
+    FLOCK_DODGE_ROOM,
+    FLOCK_DODGE_TIME,
+    FLOCK_FAR,
+    FLOCK_FEED_FORWARD,
+    FLOCK_FLOW,
+    FLOCK_FLOW_REACH,
+    FLOCK_FLOW_TURN,
+    FLOCK_HEIGHT_GAIN,
+    FLOCK_LEAD,
+    FLOCK_NEIGHBOUR_MARGIN,
+    FLOCK_NEIGHBOUR_MEMORY,
+    FLOCK_NEIGHBOUR_RATE,
+    FLOCK_NEIGHBOUR_SHARE,
+    FLOCK_OBSTACLE_MARGIN,
+    FLOCK_OBSTACLE_RATE,
+    FLOCK_POINT_COUNT,
+    FLOCK_PURSUIT,
+    FLOCK_SCAN_DELAY,
+    FLOCK_SEPARATION,
+    FLOCK_SEPARATION_REACH,
+    FLOCK_SLOT_COUNT,
+    FLOCK_TOP_WEIGHT,
+    MAX_ACCELERATION,
+    MAX_SPEED,
+    PREVIOUS,
+    RECOVERY_HEIGHT,
+)
+from companion.control.followers.sensing_kernels import direction_of, find_columns
+from companion.messages import FloatArray
+
+_PASSES = 6
+_TOUCHING_M = 0.35
+_LEAST_GAP_M = 0.1
+_FASTEST_RETREAT_MPS = 1.0
+_FLOW_COLUMNS = 72.0 / 8.0
+_COS_AHEAD = math.cos(math.radians(70.0))
+_SAME_PLACE_M = 1e-6
+_RECOVERY_AFTER_S = 1.0
+
+
+@inlined
+def flock(
+    ego: FloatArray,
+    neighbours: FloatArray,
+    ranges: FloatArray,
+    memory: FloatArray,
+    parameters: FloatArray,
+    wish: FloatArray,
+) -> None:
+    """Write the velocity that `flock` wants into `wish`, in the heading frame, m/s."""
+    remember_neighbours(ego, neighbours, memory, parameters)
+    find_columns(ranges, parameters[FLOCK_BAND_BELOW], parameters[FLOCK_BAND_ABOVE], memory, FLOCK_COLUMNS)
+    remember_obstacles(ego, memory, parameters)
+    _gather(ego, memory, parameters, wish)
+    _flow_round(memory, parameters, wish)
+    _approach(ego, memory, parameters, wish)
+    _project(ego, memory, parameters, wish)
+
+
+@inlined
+def _gather(ego: FloatArray, memory: FloatArray, parameters: FloatArray, wish: FloatArray) -> None:
+    """Cohesion, following, separation, stepping aside and height; carry on alone if nobody is known."""
+    longest = max(parameters[FLOCK_NEIGHBOUR_MEMORY], 1e-3)
+    lead = parameters[FLOCK_LEAD]
+    reach = parameters[FLOCK_SEPARATION_REACH]
+    total, pull_x, pull_y, flow_x, flow_y = 0.0, 0.0, 0.0, 0.0, 0.0
+    push_x, push_y, rise, rises, top = 0.0, 0.0, 0.0, 0.0, -math.inf
+    for slot in range(FLOCK_SLOT_COUNT):
+        x, y, z, vx, vy, _vz, age = recall_neighbour(slot, ego, memory)
+        if age < 0.0:
+            continue
+        trust = max(1.0 - age / longest, 0.0)
+        wx, wy = vx - ego[EGO_V], vy - ego[EGO_V + 1]
+        aside_x, aside_y = _step_aside(x, y, wx, wy, parameters)
+        push_x += trust * aside_x
+        push_y += trust * aside_y
+        x, y = x + lead * wx, y + lead * wy
+        distance = max(math.sqrt(x * x + y * y), _SAME_PLACE_M)
+        ex, ey = x / distance, y / distance
+        away = min(max(vx * ex + vy * ey, 0.0), parameters[MAX_SPEED])
+        far = max(distance - reach, 0.0) / reach
+        weight = trust * (1.0 + parameters[FLOCK_PURSUIT] * away) * (1.0 + parameters[FLOCK_FAR] * far)
+        total += weight
+        pull_x += weight * x
+        pull_y += weight * y
+        flow_x += weight * vx
+        flow_y += weight * vy
+        rise += trust * z
+        rises += trust
+        top = max(top, z)
+        if distance < reach:
+            push = trust * parameters[FLOCK_SEPARATION] * (reach - distance) / reach
+            push /= max(distance - _TOUCHING_M, _LEAST_GAP_M)
+            push_x -= push * ex
+            push_y -= push * ey
+    if total <= 0.0:
+        _coast(ego, memory, parameters, wish)
+        return
+    cohesion = parameters[FLOCK_COHESION] / (total + 1.0)
+    follow = parameters[FLOCK_FEED_FORWARD] / total
+    wish[0] = cohesion * pull_x + follow * flow_x + push_x
+    wish[1] = cohesion * pull_y + follow * flow_y + push_y
+    share = parameters[FLOCK_TOP_WEIGHT]
+    wanted = (1.0 - share) * rise / rises + share * top - parameters[FLOCK_BELOW]
+    wish[2] = parameters[FLOCK_HEIGHT_GAIN] * wanted
+
+
+@inlined
+def _step_aside(x: float, y: float, wx: float, wy: float, parameters: FloatArray) -> tuple[float, float]:
+    """Return a velocity away from where a neighbour will pass, if it will soon pass too near.
+
+    Args:
+        x: position of the neighbour relative to the own, m.
+        y: likewise.
+        wx: its velocity relative to the own, m/s.
+        wy: likewise.
+        parameters: of the law.
+    """
+    longest, room = parameters[FLOCK_DODGE_TIME], parameters[FLOCK_DODGE_ROOM]
+    speed_squared = wx * wx + wy * wy
+    closing = -(x * wx + y * wy)
+    if closing <= 0.0 or speed_squared < 0.01 or longest <= 0.0:
+        return 0.0, 0.0
+    soon = closing / speed_squared
+    if soon >= longest:
+        return 0.0, 0.0
+    miss_x, miss_y = x + soon * wx, y + soon * wy
+    miss = math.sqrt(miss_x * miss_x + miss_y * miss_y)
+    if miss >= room:
+        return 0.0, 0.0
+    if miss > 0.05:
+        ex, ey = miss_x / miss, miss_y / miss
+    else:
+        # It comes straight at us: both pass on the same hand.
+        speed = math.sqrt(speed_squared)
+        ex, ey = -wy / speed, wx / speed
+    strength = parameters[FLOCK_DODGE] * (1.0 - miss / room) * (1.0 - soon / longest)
+    return -strength * ex, -strength * ey
+
+
+@inlined
+def _coast(ego: FloatArray, memory: FloatArray, parameters: FloatArray, wish: FloatArray) -> None:
+    """Nobody is known: go on as before for a while, and look for the others at the usual height."""
+    cos_yaw, sin_yaw = math.cos(ego[EGO_YAW]), math.sin(ego[EGO_YAW])
+    keep = math.exp(-ego[EGO_DT] / max(parameters[FLOCK_COAST], 1e-3))
+    vx, vy = memory[PREVIOUS], memory[PREVIOUS + 1]
+    wish[0] = keep * (cos_yaw * vx + sin_yaw * vy)
+    wish[1] = keep * (cos_yaw * vy - sin_yaw * vx)
+    wish[2] = 0.0
+    if ego[EGO_ALONE] > _RECOVERY_AFTER_S:
+        wish[2] = parameters[RECOVERY_HEIGHT] - ego[EGO_HEIGHT]
+
+
+@inlined
+def _flow_round(memory: FloatArray, parameters: FloatArray, wish: FloatArray) -> None:
+    """Add a push away from near columns and, of those ahead, a turn towards the side of the wish."""
+    reach, radius = parameters[FLOCK_FLOW_REACH], parameters[FLOCK_BODY_RADIUS]
+    ux, uy = wish[0], wish[1]
+    speed = math.sqrt(ux * ux + uy * uy)
+    for column in range(AZIMUTHS):
+        room = max(memory[FLOCK_COLUMNS + column] - radius, _LEAST_GAP_M)
+        if not room < reach:
+            continue
+        angle = direction_of(column, AZIMUTHS)
+        nx, ny = math.cos(angle), math.sin(angle)
+        strength = parameters[FLOCK_FLOW] * (1.0 / room - 1.0 / reach) / _FLOW_COLUMNS
+        wish[0] -= strength * nx
+        wish[1] -= strength * ny
+        if speed > _SAME_PLACE_M and ux * nx + uy * ny > _COS_AHEAD * speed:
+            side = 1.0 if nx * uy - ny * ux >= 0.0 else -1.0
+            wish[0] -= parameters[FLOCK_FLOW_TURN] * side * strength * ny
+            wish[1] += parameters[FLOCK_FLOW_TURN] * side * strength * nx
+
+
+@inlined
+def _approach(ego: FloatArray, memory: FloatArray, parameters: FloatArray, wish: FloatArray) -> None:
+    """Limit the speed, and the step from the previous command, before safety has the last word."""
+    speed = math.sqrt(wish[0] * wish[0] + wish[1] * wish[1])
+    if speed > parameters[MAX_SPEED]:
+        wish[0] *= parameters[MAX_SPEED] / speed
+        wish[1] *= parameters[MAX_SPEED] / speed
+    cos_yaw, sin_yaw = math.cos(ego[EGO_YAW]), math.sin(ego[EGO_YAW])
+    before_x = cos_yaw * memory[PREVIOUS] + sin_yaw * memory[PREVIOUS + 1]
+    before_y = cos_yaw * memory[PREVIOUS + 1] - sin_yaw * memory[PREVIOUS]
+    dx, dy = wish[0] - before_x, wish[1] - before_y
+    step = math.sqrt(dx * dx + dy * dy)
+    allowed = parameters[MAX_ACCELERATION] * ego[EGO_DT]
+    if step > allowed:
+        wish[0] = before_x + dx * allowed / step
+        wish[1] = before_y + dy * allowed / step
+
+
+@inlined
+def _project(ego: FloatArray, memory: FloatArray, parameters: FloatArray, wish: FloatArray) -> None:
+    """Project the wish onto the half-spaces of obstacles and neighbours in turn.
+
+    Source: cyclic projections, J. von Neumann 1933, L. Bregman 1965: they end in the intersection if there
+    is one.
+    """
+    delay = parameters[FLOCK_SCAN_DELAY]
+    rate, margin = parameters[FLOCK_OBSTACLE_RATE], parameters[FLOCK_OBSTACLE_MARGIN]
+    radius = parameters[FLOCK_BODY_RADIUS]
+    fastest = parameters[MAX_SPEED]
+    lead = parameters[FLOCK_LEAD]
+    for _ in range(_PASSES):
+        changed = False
+        for column in range(AZIMUTHS):
+            distance = memory[FLOCK_COLUMNS + column]
+            if not rate * (distance - radius - margin) < fastest + 0.5:
+                continue
+            angle = direction_of(column, AZIMUTHS)
+            nx, ny = math.cos(angle), math.sin(angle)
+            distance -= delay * (nx * ego[EGO_V] + ny * ego[EGO_V + 1])
+            changed |= _hold_back(nx, ny, rate * (distance - radius - margin), wish)
+        for point in range(FLOCK_POINT_COUNT):
+            x, y, distance = recall_obstacle(point, ego, memory, parameters)
+            if distance > _SAME_PLACE_M and rate * (distance - radius - margin) < fastest:
+                bound = rate * (distance - radius - margin)
+                changed |= _hold_back(x / distance, y / distance, bound, wish)
+        for slot in range(FLOCK_SLOT_COUNT):
+            x, y, _z, vx, vy, _vz, age = recall_neighbour(slot, ego, memory)
+            if age < 0.0:
+                continue
+            x, y = x + lead * (vx - ego[EGO_V]), y + lead * (vy - ego[EGO_V + 1])
+            distance = max(math.sqrt(x * x + y * y), _SAME_PLACE_M)
+            ex, ey = x / distance, y / distance
+            bound = parameters[FLOCK_NEIGHBOUR_RATE] * (distance - parameters[FLOCK_NEIGHBOUR_MARGIN])
+            bound += parameters[FLOCK_NEIGHBOUR_SHARE] * (vx * ex + vy * ey)
+            changed |= _hold_back(ex, ey, bound, wish)
+        if not changed:
+            return
+
+
+@inlined
+def _hold_back(nx: float, ny: float, bound: float, wish: FloatArray) -> bool:
+    """Take off the wish what exceeds `bound` along (nx, ny); return whether anything did."""
+    excess = wish[0] * nx + wish[1] * ny - max(bound, -_FASTEST_RETREAT_MPS)
+    if excess <= 1e-9:
+        return False
+    wish[0] -= excess * nx
+    wish[1] -= excess * ny
+    return True

@@ -1,0 +1,186 @@
+"""What `flock` remembers: neighbours just out of sight, and obstacles that have left the field of view."""
+
+import math
+
+from companion.compiled import inlined
+from companion.control.followers.layout_kernels import (
+    AZIMUTHS,
+    EGO_DT,
+    EGO_P,
+    EGO_V,
+    EGO_YAW,
+    FLOCK_BAND_ABOVE,
+    FLOCK_BAND_BELOW,
+    FLOCK_COLUMNS,
+    FLOCK_NEIGHBOUR_MEMORY,
+    FLOCK_OBSTACLE_MEMORY,
+    FLOCK_POINT_COUNT,
+    FLOCK_POINT_SIZE,
+    FLOCK_POINTS,
+    FLOCK_SCAN_DELAY,
+    FLOCK_SLOT_COUNT,
+    FLOCK_SLOT_SIZE,
+    FLOCK_SLOTS,
+    ROW_ID,
+    ROW_P,
+    ROW_PRESENT,
+    ROW_V,
+)
+from companion.control.followers.sensing_kernels import direction_of
+from companion.messages import FloatArray
+
+_SAME_BODY_M = 0.8
+_SAME_OBSTACLE_M = 0.15
+_REMEMBERED_WITHIN_M = 2.0
+_LONGEST_PREDICTION_S = 1.0
+
+
+@inlined
+def remember_neighbours(
+    ego: FloatArray, neighbours: FloatArray, memory: FloatArray, parameters: FloatArray
+) -> None:
+    """Write the present neighbours into their slots, in the map; forget those unseen for too long."""
+    cos_yaw, sin_yaw = math.cos(ego[EGO_YAW]), math.sin(ego[EGO_YAW])
+    longest = parameters[FLOCK_NEIGHBOUR_MEMORY]
+    for slot in range(FLOCK_SLOT_COUNT):
+        at = FLOCK_SLOTS + slot * FLOCK_SLOT_SIZE
+        if memory[at] == 0.0:
+            continue
+        memory[at + 1] += ego[EGO_DT]
+        if memory[at + 1] > longest:
+            memory[at] = 0.0
+    for row in range(neighbours.shape[0]):
+        if neighbours[row, ROW_PRESENT] < 0.5:
+            continue
+        x, y = neighbours[row, ROW_P], neighbours[row, ROW_P + 1]
+        vx = neighbours[row, ROW_V] + ego[EGO_V]
+        vy = neighbours[row, ROW_V + 1] + ego[EGO_V + 1]
+        px = ego[EGO_P] + cos_yaw * x - sin_yaw * y
+        py = ego[EGO_P + 1] + sin_yaw * x + cos_yaw * y
+        pz = ego[EGO_P + 2] + neighbours[row, ROW_P + 2]
+        at = _slot_for(memory, neighbours[row, ROW_ID] + 1.0, px, py, pz)
+        memory[at] = neighbours[row, ROW_ID] + 1.0
+        memory[at + 1] = 0.0
+        memory[at + 2] = px
+        memory[at + 3] = py
+        memory[at + 4] = pz
+        memory[at + 5] = cos_yaw * vx - sin_yaw * vy
+        memory[at + 6] = sin_yaw * vx + cos_yaw * vy
+        memory[at + 7] = neighbours[row, ROW_V + 2] + ego[EGO_V + 2]
+
+
+@inlined
+def _slot_for(memory: FloatArray, number: float, px: float, py: float, pz: float) -> int:
+    """Return the slot of this number; or of a lost body where this one is; or a free one; or the oldest."""
+    same, free, oldest = -1, -1, FLOCK_SLOTS
+    for slot in range(FLOCK_SLOT_COUNT):
+        at = FLOCK_SLOTS + slot * FLOCK_SLOT_SIZE
+        if memory[at] == number:
+            return at
+        if memory[at] == 0.0:
+            if free < 0:
+                free = at
+            continue
+        age = memory[at + 1]
+        if age > memory[oldest + 1]:
+            oldest = at
+        if age > 0.0:
+            ahead = min(age, _LONGEST_PREDICTION_S)
+            dx = memory[at + 2] + ahead * memory[at + 5] - px
+            dy = memory[at + 3] + ahead * memory[at + 6] - py
+            dz = memory[at + 4] + ahead * memory[at + 7] - pz
+            if dx * dx + dy * dy + dz * dz < _SAME_BODY_M * _SAME_BODY_M:
+                same = at
+    if same >= 0:
+        return same
+    return free if free >= 0 else oldest
+
+
+@inlined
+def recall_neighbour(
+    slot: int, ego: FloatArray, memory: FloatArray
+) -> tuple[float, float, float, float, float, float, float]:
+    """Return where a neighbour is believed to be: relative position, own velocity, in the heading frame; age.
+
+    A free slot has a negative age.
+    """
+    at = FLOCK_SLOTS + slot * FLOCK_SLOT_SIZE
+    if memory[at] == 0.0:
+        return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0
+    cos_yaw, sin_yaw = math.cos(ego[EGO_YAW]), math.sin(ego[EGO_YAW])
+    age = memory[at + 1]
+    ahead = min(age, _LONGEST_PREDICTION_S)
+    dx = memory[at + 2] + ahead * memory[at + 5] - ego[EGO_P]
+    dy = memory[at + 3] + ahead * memory[at + 6] - ego[EGO_P + 1]
+    dz = memory[at + 4] + ahead * memory[at + 7] - ego[EGO_P + 2]
+    vx, vy, vz = memory[at + 5], memory[at + 6], memory[at + 7]
+    return (
+        cos_yaw * dx + sin_yaw * dy,
+        cos_yaw * dy - sin_yaw * dx,
+        dz,
+        cos_yaw * vx + sin_yaw * vy,
+        cos_yaw * vy - sin_yaw * vx,
+        vz,
+        age,
+    )
+
+
+@inlined
+def remember_obstacles(ego: FloatArray, memory: FloatArray, parameters: FloatArray) -> None:
+    """Keep the nearest obstacles of the columns for a while, as points of the map.
+
+    A stone that is passed over sinks under the field of view, and a thin branch is not hit by every scan;
+    both are still there.
+    """
+    longest = parameters[FLOCK_OBSTACLE_MEMORY]
+    for point in range(FLOCK_POINT_COUNT):
+        at = FLOCK_POINTS + point * FLOCK_POINT_SIZE
+        memory[at] = max(memory[at] - ego[EGO_DT], 0.0)
+    if longest <= 0.0:
+        return
+    cos_yaw, sin_yaw = math.cos(ego[EGO_YAW]), math.sin(ego[EGO_YAW])
+    delay = parameters[FLOCK_SCAN_DELAY]
+    for column in range(AZIMUTHS):
+        distance = memory[FLOCK_COLUMNS + column]
+        if not distance < _REMEMBERED_WITHIN_M:
+            continue
+        angle = direction_of(column, AZIMUTHS)
+        x = distance * math.cos(angle) - delay * ego[EGO_V]
+        y = distance * math.sin(angle) - delay * ego[EGO_V + 1]
+        px = ego[EGO_P] + cos_yaw * x - sin_yaw * y
+        py = ego[EGO_P + 1] + sin_yaw * x + cos_yaw * y
+        pz = ego[EGO_P + 2]
+        at = FLOCK_POINTS
+        for point in range(FLOCK_POINT_COUNT):
+            here = FLOCK_POINTS + point * FLOCK_POINT_SIZE
+            if memory[here] < memory[at]:
+                at = here
+            dx, dy = memory[here + 1] - px, memory[here + 2] - py
+            if memory[here] > 0.0 and dx * dx + dy * dy < _SAME_OBSTACLE_M * _SAME_OBSTACLE_M:
+                at = here
+                break
+        memory[at] = longest
+        memory[at + 1] = px
+        memory[at + 2] = py
+        memory[at + 3] = pz
+
+
+@inlined
+def recall_obstacle(
+    point: int, ego: FloatArray, memory: FloatArray, parameters: FloatArray
+) -> tuple[float, float, float]:
+    """Return where a remembered obstacle is: horizontal position in the heading frame, and distance.
+
+    The distance is infinite if there is none, or if it was met at another height.
+    """
+    at = FLOCK_POINTS + point * FLOCK_POINT_SIZE
+    rise = ego[EGO_P + 2] - memory[at + 3]
+    if memory[at] <= 0.0 or rise > parameters[FLOCK_BAND_ABOVE] or rise < -parameters[FLOCK_BAND_BELOW]:
+        return 0.0, 0.0, math.inf
+    cos_yaw, sin_yaw = math.cos(ego[EGO_YAW]), math.sin(ego[EGO_YAW])
+    dx, dy = memory[at + 1] - ego[EGO_P], memory[at + 2] - ego[EGO_P + 1]
+    return (
+        cos_yaw * dx + sin_yaw * dy,
+        cos_yaw * dy - sin_yaw * dx,
+        math.sqrt(dx * dx + dy * dy),
+    )

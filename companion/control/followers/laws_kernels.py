@@ -1,0 +1,131 @@
+"""One entry to all followers' laws: `steer`, the same in flight, in emulation and in training."""
+
+import math
+
+from companion.compiled import compiled, inlined
+from companion.control.followers.flock_kernels import flock
+from companion.control.followers.layout_kernels import (
+    EGO_ALONE,
+    EGO_DT,
+    EGO_HEIGHT,
+    EGO_YAW,
+    HEIGHT_GAIN,
+    HEIGHT_SPEED,
+    MAX_ACCELERATION,
+    MAX_SPEED,
+    MAX_VERTICAL_SPEED,
+    METHOD_IDS,
+    PREVIOUS,
+    RECOVERY_HEIGHT,
+    ROW_P,
+    ROW_PRESENT,
+    STARTED,
+)
+from companion.messages import FloatArray
+
+_FLOCK = METHOD_IDS["flock"]
+
+
+@compiled(
+    "void(int64, float64[::1], float64[:,::1], float64[:,::1], float64[::1], float64[::1], float64[::1])"
+)
+def steer(
+    method: int,
+    ego: FloatArray,
+    neighbours: FloatArray,
+    ranges: FloatArray,
+    memory: FloatArray,
+    parameters: FloatArray,
+    command: FloatArray,
+) -> None:
+    """Choose a follower's velocity.
+
+    Args:
+        method: number of the law, see `METHOD_IDS`; any other asks for zero velocity.
+        ego: (10,) own position in the map m, velocity in the heading frame m/s, yaw in the map rad, height
+            over the start's ground m, time since the last call s, time since anybody was perceived s.
+        neighbours: (k, 8) nearest first: relative position m and relative velocity m/s in the heading
+            frame, 1 where there is a neighbour, number of its track; the other rows are zero.
+        ranges: (72, 12) obstacle grid of the newest scan in the level heading frame, m, infinity where
+            free; see `layout_kernels` for its cells.
+        memory: (MEMORY_SIZE,) whatever the law remembers; all zero at the start.
+        parameters: (PARAMETER_COUNT,) from `FollowerSettings.packed`.
+        command: (3,) receives the velocity in the heading frame, m/s; always finite. Where an input is not
+            a number it is zero.
+    """
+    command[0] = 0.0
+    command[1] = 0.0
+    command[2] = 0.0
+    if not _is_sound(ego, neighbours, ranges):
+        memory[PREVIOUS] = 0.0
+        memory[PREVIOUS + 1] = 0.0
+        memory[PREVIOUS + 2] = 0.0
+        return
+    if method == _FLOCK:
+        flock(ego, neighbours, ranges, memory, parameters, command)
+    _finish(ego, memory, parameters, command)
+
+
+@inlined
+def _is_sound(ego: FloatArray, neighbours: FloatArray, ranges: FloatArray) -> bool:
+    """Return whether every input can be reckoned with."""
+    for index in range(EGO_ALONE):
+        if not math.isfinite(ego[index]):
+            return False
+    if math.isnan(ego[EGO_ALONE]) or ego[EGO_DT] < 0.0:
+        return False
+    for row in range(neighbours.shape[0]):
+        for index in range(neighbours.shape[1]):
+            if not math.isfinite(neighbours[row, index]):
+                return False
+    for column in range(ranges.shape[0]):
+        for row in range(ranges.shape[1]):
+            # False for what is not a number, too.
+            if not ranges[column, row] >= 0.0:
+                return False
+    return True
+
+
+@inlined
+def keep_height(ego: FloatArray, neighbours: FloatArray, parameters: FloatArray) -> float:
+    """Return the vertical velocity towards the neighbours' mean height, or home if nobody is seen."""
+    count, rise = 0, 0.0
+    for row in range(neighbours.shape[0]):
+        if neighbours[row, ROW_PRESENT] > 0.5:
+            count += 1
+            rise += neighbours[row, ROW_P + 2]
+    wanted = rise / count if count > 0 else parameters[RECOVERY_HEIGHT] - ego[EGO_HEIGHT]
+    limit = parameters[HEIGHT_SPEED]
+    return min(max(parameters[HEIGHT_GAIN] * wanted, -limit), limit)
+
+
+@inlined
+def _finish(ego: FloatArray, memory: FloatArray, parameters: FloatArray, command: FloatArray) -> None:
+    """Limit the command's speed and its change, and remember it in the map."""
+    if not (math.isfinite(command[0]) and math.isfinite(command[1]) and math.isfinite(command[2])):
+        command[0] = 0.0
+        command[1] = 0.0
+        command[2] = 0.0
+    limit = parameters[MAX_VERTICAL_SPEED]
+    command[2] = min(max(command[2], -limit), limit)
+    size = math.sqrt(command[0] * command[0] + command[1] * command[1] + command[2] * command[2])
+    if size > parameters[MAX_SPEED]:
+        scale = parameters[MAX_SPEED] / size
+        command[0] *= scale
+        command[1] *= scale
+        command[2] *= scale
+    cos_yaw, sin_yaw = math.cos(ego[EGO_YAW]), math.sin(ego[EGO_YAW])
+    before_x = cos_yaw * memory[PREVIOUS] + sin_yaw * memory[PREVIOUS + 1]
+    before_y = cos_yaw * memory[PREVIOUS + 1] - sin_yaw * memory[PREVIOUS]
+    before_z = memory[PREVIOUS + 2]
+    dx, dy, dz = command[0] - before_x, command[1] - before_y, command[2] - before_z
+    step = math.sqrt(dx * dx + dy * dy + dz * dz)
+    allowed = parameters[MAX_ACCELERATION] * ego[EGO_DT]
+    if step > allowed:
+        command[0] = before_x + dx * allowed / step
+        command[1] = before_y + dy * allowed / step
+        command[2] = before_z + dz * allowed / step
+    memory[STARTED] = 1.0
+    memory[PREVIOUS] = cos_yaw * command[0] - sin_yaw * command[1]
+    memory[PREVIOUS + 1] = sin_yaw * command[0] + cos_yaw * command[1]
+    memory[PREVIOUS + 2] = command[2]

@@ -1,0 +1,64 @@
+"""Which law a follower flies by, and the gains of each."""
+
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+
+from companion.control.followers.flock_settings import FlockSettings
+from companion.control.followers.layout_kernels import LAW_PARAMETERS, METHOD_IDS, PARAMETER_COUNT
+from companion.messages import FloatArray
+from companion.settings import Settings
+
+Method = Literal["flock"]
+METHODS: dict[str, type[Settings]] = {
+    "flock": FlockSettings,
+}
+"""The settings of each law."""
+
+
+class CommandSettings(Settings):
+    """What holds for the velocity of every law."""
+
+    max_speed_mps: float = Field(default=2.0, gt=0.0, le=8.0)
+    """Largest speed that is asked for."""
+    max_vertical_speed_mps: float = Field(default=1.0, gt=0.0, le=3.0)
+    """Largest climb or descent that is asked for."""
+    max_acceleration_mps2: float = Field(default=4.0, gt=0.0, le=10.0)
+    """Largest change of the velocity per second."""
+    height_per_s: float = Field(default=1.0, ge=0.0, le=5.0)
+    """Vertical speed for each metre that the neighbours are higher on average (all laws but `flock`)."""
+    height_speed_mps: float = Field(default=0.5, ge=0.0, le=3.0)
+    """Limit of that vertical speed."""
+    recovery_height_m: float = Field(default=1.0, ge=0.0, le=50.0)
+    """Over the start; where a follower goes that sees nobody."""
+
+
+class FollowerSettings(Settings):
+    """How a follower flies."""
+
+    method: Method = "flock"
+    """The law."""
+    command: CommandSettings = CommandSettings()
+    """What holds for every law's velocity."""
+    flock: FlockSettings = FlockSettings()
+    """Gains of `flock`."""
+
+    def packed(self, method: str | None = None) -> FloatArray:
+        """Return the parameters (PARAMETER_COUNT,) that `steer` wants for a law.
+
+        Args:
+            method: the law; the configured one if None.
+
+        Raises:
+            KeyError: if there is no such law.
+        """
+        name = self.method if method is None else method
+        if name not in METHOD_IDS:
+            raise KeyError(f"no law {name!r}, there are {', '.join(METHOD_IDS)}")
+        parameters = np.zeros(PARAMETER_COUNT)
+        command = [float(value) for _, value in self.command]
+        gains = [float(value) for _, value in getattr(self, name)]
+        parameters[: len(command)] = command
+        parameters[LAW_PARAMETERS : LAW_PARAMETERS + len(gains)] = gains
+        return parameters
