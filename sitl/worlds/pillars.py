@@ -1,13 +1,17 @@
 """Fields of upright pillars with a guaranteed gap between their surfaces."""
 
+from collections.abc import Iterable
 from typing import Annotated
 
 import numpy as np
 from numpy.random import Generator
 from pydantic import Field, Strict, model_validator
 
+from companion.messages import FloatArray
 from companion.settings import Settings
-from sitl.worlds.primitives import Cylinder, Ground, World
+from sitl.worlds.placing import FreeDisc, fill
+from sitl.worlds.primitives import World
+from sitl.worlds.surfaces import cylinders, ground, together
 
 Point = Annotated[tuple[float, float], Strict(False)]
 
@@ -63,35 +67,46 @@ def pillar_field(rng: Generator, settings: PillarFieldSettings) -> World:
     """
     low = np.array(settings.centre_world_m) - 0.5 * np.array(settings.size_m)
     high = np.array(settings.centre_world_m) + 0.5 * np.array(settings.size_m)
-    # A free disc is a fixed neighbour whose gap is its radius.
-    fixed = [(*settings.spawn_world_m, settings.spawn_clear_m)]
+    free = [(*settings.spawn_world_m, settings.spawn_clear_m)]
     if settings.goal_world_m is not None:
-        fixed.append((*settings.goal_world_m, settings.goal_clear_m))
-    neighbours = np.array(fixed)
-    pillars: list[tuple[float, float, float]] = []
-    failures = 0
-    while failures < settings.failures_until_full:
-        radius = rng.uniform(settings.radius_min_m, settings.radius_max_m)
-        x, y = rng.uniform(low + radius, high - radius)
-        distances = np.hypot(neighbours[:, 0] - x, neighbours[:, 1] - y)
-        if np.any(distances < neighbours[:, 2] + radius):
-            failures += 1
-            continue
-        failures = 0
-        pillars.append((float(x), float(y), float(radius)))
-        neighbours = np.vstack([neighbours, [x, y, radius + settings.min_gap_m]])
-    shades = rng.uniform(settings.reflectivity_min, settings.reflectivity_max, len(pillars))
-    return World.of(
-        [
-            Ground(reflectivity=settings.ground_reflectivity),
-            *(
-                Cylinder(
-                    start_world_m=(x, y, 0.0),
-                    end_world_m=(x, y, settings.height_m),
-                    radius_m=radius,
-                    reflectivity=float(shade),
-                )
-                for (x, y, radius), shade in zip(pillars, shades, strict=True)
-            ),
-        ]
+        free.append((*settings.goal_world_m, settings.goal_clear_m))
+    pillars = fill_with_pillars(
+        rng,
+        low,
+        high,
+        radius_m=(settings.radius_min_m, settings.radius_max_m),
+        height_m=settings.height_m,
+        free=free,
+        gap_m=settings.min_gap_m,
+        failures_until_full=settings.failures_until_full,
     )
+    shades = rng.uniform(settings.reflectivity_min, settings.reflectivity_max, len(pillars))
+    return together(
+        ground(settings.ground_reflectivity),
+        cylinders(pillars[:, :3], pillars[:, 3:6], pillars[:, 6], shades),
+    )
+
+
+def fill_with_pillars(
+    rng: Generator,
+    low_world: FloatArray,
+    high_world: FloatArray,
+    *,
+    radius_m: tuple[float, float],
+    height_m: float,
+    free: Iterable[FreeDisc],
+    gap_m: float,
+    failures_until_full: int,
+) -> FloatArray:
+    """Return upright rods (n, 7) wholly between the corners `low_world` and `high_world` (2,) of an area."""
+
+    def rods_of(numbers: FloatArray) -> FloatArray:
+        radii = radius_m[0] + (radius_m[1] - radius_m[0]) * numbers[:, :1]
+        low, high = low_world + radii, high_world - radii
+        feet = low + (high - low) * numbers[:, 1:3]
+        rods = np.zeros((len(numbers), 7))
+        rods[:, :2], rods[:, 3:5], rods[:, 5], rods[:, 6] = feet, feet, height_m, radii[:, 0]
+        return rods
+
+    rods, _ = fill(rng, 3, rods_of, free=free, gap_m=gap_m, failures_until_full=failures_until_full)
+    return rods
