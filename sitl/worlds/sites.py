@@ -11,11 +11,12 @@ All of them keep free what `sitl.worlds.course` says: a disc round the start in 
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import numpy as np
 from numpy.random import Generator
 from numpy.typing import ArrayLike
 
 from companion.messages import FloatArray
-from sitl.worlds import open_country
+from sitl.worlds import flown_sites, forests, open_country
 from sitl.worlds.course import GOAL_DISTANCE_M, Course, open_course
 from sitl.worlds.primitives import World
 
@@ -38,17 +39,31 @@ class Site:
 
 
 _OpenBuilder = Callable[[Generator, Course], World]
+_FlownBuilder = Callable[[Generator, int], tuple[World, Course]]
 
 _OPEN: dict[str, _OpenBuilder] = {
     "none": open_country.nothing,
     "pillars_10m": lambda rng, course: open_country.pillars(rng, course, 10.0),
     "pillars_5m": lambda rng, course: open_country.pillars(rng, course, 5.0),
+    "simplified_forest": forests.simplified_forest,
+    "forest": forests.forest,
+}
+
+_FLOWN: dict[str, _FlownBuilder] = {
+    "indoor_blocks": flown_sites.indoor_blocks,
+    "indoor_wall": flown_sites.indoor_wall,
+    "outdoor_pillars": flown_sites.outdoor_pillars,
+    "display_tower": flown_sites.display_tower,
+    "short_forest": flown_sites.short_forest,
 }
 
 OPEN_SITES = tuple(_OPEN)
 """Sites whose goal or waypoints can be chosen."""
 
-SITE_NAMES = OPEN_SITES
+FLOWN_SITES = tuple(_FLOWN)
+"""Sites with a way of their own."""
+
+SITE_NAMES = OPEN_SITES + FLOWN_SITES
 
 
 def build_site(
@@ -75,6 +90,11 @@ def build_site(
     """
     if name not in SITE_NAMES:
         raise ValueError(f"no site is called {name!r}; there are {', '.join(SITE_NAMES)}")
+    if name in _FLOWN:
+        if goal_world is not None or np.any(np.asarray(spawn_world) != 0.0):
+            raise ValueError(f"the way of the site {name} is part of it: no other start or goal can be given")
+        world, course = _FLOWN[name](rng, followers)
+        return Site(name, world, course.spawn_world, course.waypoints_world)
     course = open_course(
         rng,
         followers=followers,
