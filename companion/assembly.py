@@ -3,8 +3,11 @@
 import numpy as np
 
 from companion.config import Profile
-from companion.control.hold import HoldRole
+from companion.control.followers.role import FollowerRole
+from companion.control.followers.settings import FollowerSettings
 from companion.control.leader.planner import LeaderPlanner
+from companion.perception.neighbours import NeighbourView
+from companion.perception.occupancy import ObstacleGrid
 from companion.perception.odometry.external import ExternalMotionEstimator
 from companion.perception.odometry.lio import LidarInertialOdometry
 from companion.perception.tracking.tracker import NeighbourTracker
@@ -34,4 +37,9 @@ def _estimator(profile: Profile) -> Estimator:
 def _role(profile: Profile) -> Role:
     if profile.leader is not None:
         return LeaderPlanner(profile.leader, np.random.default_rng(_PLANNER_SEED))
-    return HoldRole()
+    return FollowerRole(
+        profile.follower or FollowerSettings(),
+        NeighbourView(profile.neighbours),
+        ObstacleGrid(profile.grid),
+        np.full((profile.grid.azimuths, profile.grid.elevations), np.inf),
+    )

@@ -11,6 +11,13 @@ import numpy as np
 import yaml
 from pydantic import Field, Strict, model_validator
 
+from companion.control.followers.layout_kernels import (
+    AZIMUTHS,
+    ELEVATIONS,
+    HIGHEST_ELEVATION_DEG,
+    LOWEST_ELEVATION_DEG,
+)
+from companion.control.followers.settings import FollowerSettings
 from companion.control.leader.settings import LeaderSettings
 from companion.drivers.external_odometry_settings import ExternalOdometrySettings
 from companion.drivers.livox_settings import LivoxSettings
@@ -18,6 +25,8 @@ from companion.drivers.px4_settings import Px4Settings
 from companion.geometry import rotation
 from companion.geometry.pose import Pose
 from companion.logs.writer import LogSettings
+from companion.perception.neighbours import NeighbourSettings
+from companion.perception.occupancy import GridSettings
 from companion.perception.odometry.settings import OdometrySettings
 from companion.perception.tracking.settings import TrackingSettings
 from companion.safety.settings import SafetySettings
@@ -36,6 +45,12 @@ MID360_IMU_POSITION_M = (0.011, 0.02329, -0.04412)
 
 _SCHEMA_TITLE = "Companion vehicle profile"
 _MAX_NAME_LENGTH = 32
+_GRID_OF_A_FOLLOWER = {
+    "azimuths": AZIMUTHS,
+    "elevations": ELEVATIONS,
+    "lowest_elevation_deg": LOWEST_ELEVATION_DEG,
+    "highest_elevation_deg": HIGHEST_ELEVATION_DEG,
+}
 
 
 class VehicleSettings(Settings):
@@ -109,6 +124,15 @@ class Profile(Settings):
     leader: LeaderSettings | None = None
     """Mission and planner; for the role `leader` only."""
 
+    neighbours: NeighbourSettings = NeighbourSettings()
+    """Which of the tracked UAVs a follower reckons with."""
+
+    grid: GridSettings = GridSettings()
+    """The obstacle grid that a follower sees."""
+
+    follower: FollowerSettings | None = None
+    """The law that a follower flies by; for the role `follower` only, which has the defaults without it."""
+
     safety: SafetySettings = SafetySettings()
     """Limits that hold for every setpoint."""
 
@@ -122,6 +146,42 @@ class Profile(Settings):
         if self.role != "leader" and self.leader is not None:
             raise misfit(
                 ("leader",), f"a mission for the role {self.role!r}", "it for the role 'leader' only"
+            )
+        return self
+
+    @model_validator(mode="before")
+    @classmethod
+    def _follower_has_its_section(cls, values: Any) -> Any:
+        if isinstance(values, dict) and values.get("role") == "follower" and values.get("follower") is None:
+            return {**values, "follower": {}}
+        return values
+
+    @model_validator(mode="after")
+    def _follower_fits(self) -> "Profile":
+        if self.follower is None:
+            return self
+        if self.role != "follower":
+            raise misfit(
+                ("follower",), f"a law for the role {self.role!r}", "it for the role 'follower' only"
+            )
+        for name, value in _GRID_OF_A_FOLLOWER.items():
+            found = getattr(self.grid, name)
+            if found != value:
+                raise misfit(("grid", name), f"{found:g}", f"{value:g}, which the followers' laws know")
+        command, safety = self.follower.command, self.safety
+        if command.max_speed_mps > safety.max_speed_mps:
+            at = ("follower", "command", "max_speed_mps")
+            raise misfit(
+                at,
+                f"{command.max_speed_mps:g}",
+                f"at most safety.max_speed_mps, {safety.max_speed_mps:g}",
+            )
+        low, high = safety.min_altitude_m, safety.max_altitude_m
+        if not low <= command.recovery_height_m <= high:
+            raise misfit(
+                ("follower", "command", "recovery_height_m"),
+                f"{command.recovery_height_m:g}",
+                f"from safety.min_altitude_m to max_altitude_m, {low:g} to {high:g}",
             )
         return self
 

@@ -14,7 +14,6 @@ import pytest
 from companion import runtime
 from companion.clock import SystemClock
 from companion.config import Profile
-from companion.control.hold import HoldRole
 from companion.directories import SOCKET_NAME, Directories
 from companion.drivers.livox_framing import LivoxStatistics
 from companion.logs import channels
@@ -39,6 +38,7 @@ from companion.safety.settings import SafetySettings
 from companion.service import Notifier, Service
 from companion.yaml_source import loads
 from tests.drivers.px4_peer import MS, an_odometry
+from tests.hold_role import HoldRole
 from tests.pipeline_rig import NoTracker
 from tests.profiles import GOOD
 

@@ -84,6 +84,26 @@ WRONG: dict[str, tuple[str | bytes, str]] = {
         GOOD.replace("role: leader", "role: follower"),
         ":4:1: leader: found a mission for the role 'follower'",
     ),
+    "leader with a law": (
+        GOOD + "follower: {method: flock}\n",
+        ":7:1: follower: found a law for the role 'leader', allowed it for the role 'follower' only",
+    ),
+    "follower faster than the limit": (
+        "vehicle: {name: a}\nrole: follower\nsafety: {max_speed_mps: 1.0}\n",
+        ":1:1: follower.command.max_speed_mps: found 2, allowed at most safety.max_speed_mps, 1",
+    ),
+    "follower recovers below the limit": (
+        "vehicle: {name: a}\nrole: follower\nfollower: {command: {recovery_height_m: 0.2}}\n",
+        ":3:41: follower.command.recovery_height_m: found 0.2, allowed from safety.min_altitude_m",
+    ),
+    "grid that no law knows": (
+        "vehicle: {name: a}\nrole: follower\ngrid: {azimuths: 36}\n",
+        ":3:18: grid.azimuths: found 36, allowed 72, which the followers' laws know",
+    ),
+    "unknown law": (
+        "vehicle: {name: a}\nrole: follower\nfollower: {method: floc}\n",
+        ":3:20: follower.method: found text 'floc', allowed is",
+    ),
     "waypoint of two numbers": (
         GOOD.replace("[5.0, 0.0, 1.5]", "[5.0, 0.0]"),
         ":6:19: leader.mission.waypoints_m[0]: found a list of 2 items, allowed is a list of 3 items",

@@ -23,6 +23,10 @@ SHIPPED = sorted(FIELD_CONFIGS.glob("uav_*.yaml"))
 BEYOND_SCHEMA = {
     "leader without mission",
     "follower with mission",
+    "leader with a law",
+    "follower faster than the limit",
+    "follower recovers below the limit",
+    "grid that no law knows",
     "waypoint too high",
     "faster than the limit",
     "climbs faster than the limit",

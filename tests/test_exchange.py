@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from companion.control.hold import HoldRole
 from companion.drivers.px4_commands import DO_SET_MODE, NAV_LAND
 from companion.drivers.px4_session import Px4Session
 from companion.exchange import Exchange
@@ -54,6 +53,7 @@ from tests.drivers.px4_peer import (
     message,
     settings,
 )
+from tests.hold_role import HoldRole
 from tests.pipeline_rig import NoTracker
 
 DATAGRAM = Datagram(T0, ("127.0.0.2", 56300), ("127.0.0.1", 56301), b"\x00" * 24)

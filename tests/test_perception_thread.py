@@ -5,11 +5,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from companion.control.hold import HoldRole
 from companion.messages import ImuSample, LidarScan, PerceptionUpdate, SensorEvent
 from companion.perception_thread import PerceptionThread
 from companion.pipeline import Estimator, Pipeline
 from companion.safety.settings import SafetySettings
+from tests.hold_role import HoldRole
 from tests.pipeline_rig import NoTracker
 
 

@@ -96,7 +96,8 @@ def keep_height(ego: FloatArray, neighbours: FloatArray, parameters: FloatArray)
             rise += neighbours[row, ROW_P + 2]
     wanted = rise / count if count > 0 else parameters[RECOVERY_HEIGHT] - ego[EGO_HEIGHT]
     limit = parameters[HEIGHT_SPEED]
-    return min(max(parameters[HEIGHT_GAIN] * wanted, -limit), limit)
+    speed: float = min(max(parameters[HEIGHT_GAIN] * wanted, -limit), limit)
+    return speed
 
 
 @inlined

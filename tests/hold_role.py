@@ -1,4 +1,4 @@
-"""The role of a vehicle that only keeps its place."""
+"""The role of a vehicle that only keeps its place, for tests that need none in particular."""
 
 from dataclasses import dataclass
 
