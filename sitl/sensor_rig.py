@@ -25,7 +25,7 @@ class SensorRig:
         return self._imu.T_body_imu
 
     def step(
-        self, start: Kinematics, end: Kinematics, step_ns: int, thrust: float
+        self, start: Kinematics, end: Kinematics, step_ns: int, thrust: float, world: World | None = None
     ) -> tuple[PointSlots, InertialSlot]:
         """Measure while the body moves from `start` to `end`.
 
@@ -34,6 +34,8 @@ class SensorRig:
             end: its motion `step_ns` nanoseconds later.
             step_ns: length of the step, a multiple of the firing period of 20 us.
             thrust: of the motors by vehicle mass, m/s^2; it drives the vibration.
+            world: what the beams can hit during this step, instead of the world at power-on; for worlds in
+                which something moves.
 
         Returns:
             All slots that fire within the step, and one inertial sample stamped with its end.
@@ -48,7 +50,7 @@ class SensorRig:
             self._next_slot,
             end_slot - self._next_slot,
             BodyTrajectory.between(t_start_ns, start, t_end_ns, end),
-            self._world,
+            self._world if world is None else world,
         )
         inertial = self._imu.sample(t_start_ns, start, t_end_ns, end, thrust)
         self._t_sensor_ns, self._next_slot = t_end_ns, end_slot

@@ -20,6 +20,8 @@ from companion.messages import (
     FlightState,
     LidarScan,
     MavlinkMessage,
+    NeighbourTracks,
+    Odometry,
     PerceptionUpdate,
     RegisteredScan,
     SensorEvent,
@@ -29,7 +31,12 @@ _STATISTICS_PERIOD_NS = seconds_to_ns(1.0)
 
 
 class SteppedCompanion:
-    """One vehicle's companion; the same drivers, pipeline and exchange as in flight, called in turn."""
+    """One vehicle's companion; the same drivers, pipeline and exchange as in flight, called in turn.
+
+    Attributes:
+        tracks: other UAVs after the newest scan, None before the first.
+        scan_odometry: own motion at that scan's end.
+    """
 
     def __init__(self, profile: Profile, log: FlightLog, *, host_ip: str, perception_latency_ns: int) -> None:
         """Build every part; `perception_latency_ns` is what computing a scan takes."""
@@ -45,6 +52,8 @@ class SteppedCompanion:
         self._perception = PerceptionQueue(self._pipeline, perception_latency_ns)
         self._schedule = DecisionSchedule(round(1e9 / profile.autopilot.setpoint_hz), 0)
         self._next_statistics_ns = 0
+        self.tracks: NeighbourTracks | None = None
+        self.scan_odometry: Odometry | None = None
 
     @property
     def state(self) -> FlightState:
@@ -86,6 +95,10 @@ class SteppedCompanion:
         updates = self._perception.finished(t_ns)
         for update in updates:
             messages.extend(self._exchange.update(update, t_ns))
+            if isinstance(update, NeighbourTracks):
+                self.tracks = update
+            elif isinstance(update, RegisteredScan):
+                self.scan_odometry = update.odometry
         if any(isinstance(update, RegisteredScan) for update in updates):
             messages.extend(self._exchange.tick(t_ns))
             self._schedule.seen(t_ns)

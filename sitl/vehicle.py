@@ -17,6 +17,7 @@ from sitl.sensor_rig import SensorRig
 from sitl.sensors.imu import ImuModel, ImuSettings
 from sitl.sensors.mid360 import Mid360Model, Mid360Settings
 from sitl.slots import InertialSlot, PointSlots
+from sitl.worlds.primitives import World
 
 
 def build_sensors(stage: Stage) -> SensorRig:
@@ -82,6 +83,7 @@ class SimulatedVehicle:
         self.autopilot = Autopilot(AutopilotSettings(), parameters, stage.generator("autopilot"))
         self.mavlink = MavlinkEmulator(self.autopilot, boot_ns=boot_ns)
         self._sensors = build_sensors(stage)
+        self._before = self.airframe.kinematics
 
     @property
     def t_ns(self) -> int:
@@ -90,12 +92,25 @@ class SimulatedVehicle:
 
     def step(self) -> Measured:
         """Move on by 5 ms; return what the sensor measured."""
-        t_ns = self._t_ns + STEP_NS
+        self.move()
+        return self.measure()
+
+    def move(self) -> None:
+        """Move on by 5 ms; `measure` has to follow before the next step."""
         command = self.autopilot.step(self._t_ns, self.airframe.truth(self._t_ns))
-        start = self.airframe.kinematics
+        self._before = self.airframe.kinematics
         self.airframe.step(command)
-        slots, inertial = self._sensors.step(start, self.airframe.kinematics, STEP_NS, self.airframe.thrust)
-        self._t_ns = t_ns
+        self._t_ns += STEP_NS
+
+    def measure(self, world: World | None = None) -> Measured:
+        """Return what the sensor measured during the step just made.
+
+        Args:
+            world: as it was in the middle of that step, for worlds in which something moves.
+        """
+        slots, inertial = self._sensors.step(
+            self._before, self.airframe.kinematics, STEP_NS, self.airframe.thrust, world
+        )
         return Measured(slots, inertial)
 
     def true_pose(self) -> StampedPose:

@@ -102,4 +102,9 @@ class Mission:
         return min(max(settings.vertical_gain_per_s * height_error, -limit), limit)
 
     def _pause_s(self) -> float:
-        return self._settings.final_hold_s if self.at_last_waypoint else self._settings.waypoint_hold_s
+        settings = self._settings
+        if self.at_last_waypoint:
+            return settings.final_hold_s
+        return (
+            settings.waypoint_holds_s[self.index] if settings.waypoint_holds_s else settings.waypoint_hold_s
+        )

@@ -28,6 +28,9 @@ class MissionSettings(Settings):
     """A waypoint counts as reached when the body is nearer than this."""
     waypoint_hold_s: float = Field(default=0.0, ge=0.0, le=600.0)
     """Pause at every waypoint but the last; with 0 they are flown through without braking."""
+    waypoint_holds_s: list[Annotated[float, Field(ge=0.0, le=600.0)]] = Field(default=[], max_length=200)
+    """Pause at each waypoint one by one, instead of `waypoint_hold_s`; empty or one for every waypoint but
+    the last."""
     final_hold_s: float = Field(default=3.0, ge=0.0, le=600.0)
     """Pause at the last waypoint before the mission counts as finished."""
     land_when_finished: bool = True
@@ -38,6 +41,16 @@ class MissionSettings(Settings):
     """Climb rate per metre of height error."""
     max_vertical_speed_mps: float = Field(default=0.5, gt=0.0, le=3.0)
     """Limit of climb and descent."""
+
+    @model_validator(mode="after")
+    def _holds_match_waypoints(self) -> "MissionSettings":
+        held = len(self.waypoint_holds_s)
+        if held and held != len(self.waypoints_m) - 1:
+            raise ValueError(
+                f"waypoint_holds_s names {held} pauses for {len(self.waypoints_m)} waypoints; "
+                "it must be empty or name one for every waypoint but the last"
+            )
+        return self
 
     @model_validator(mode="after")
     def _speed_within_limit(self) -> "MissionSettings":
