@@ -19,21 +19,21 @@ from sitl.worlds.pillars import fill_with_pillars
 from sitl.worlds.primitives import World
 from sitl.worlds.surfaces import boxes, capsules, cylinders, ground, spheres, together
 
-_HALL_X_M = (-8.0, 27.0)
-_HALL_HALF_WIDTH_M = 9.0
+_HALL_X_M = (-9.0, 29.0)
+_HALL_HALF_WIDTH_M = 10.0
 _HALL_HEIGHT_M = 8.0
 _INDOOR_GOAL_M = 20.0
 _SHEET_M = 0.2
 
-BLOCK_GAP_M = 3.0
+BLOCK_GAP_M = 4.0
 OUTDOOR_PILLAR_GAP_M = 5.0
-SHRUB_GAP_M = 2.5
-PASSAGE_M = 4.0
+SHRUB_GAP_M = 3.2
+PASSAGE_M = 5.0
 """Least room on either side of the indoor wall."""
 
 
 def indoor_blocks(rng: Generator, followers: int) -> tuple[World, Course]:
-    """Return a hall full of upright blocks, 3 m apart and from the walls."""
+    """Return a hall full of upright blocks, 4 m apart and from the walls."""
     course = _course(_INDOOR_GOAL_M, followers)
     rods = fill_with_pillars(
         rng,
@@ -60,7 +60,7 @@ def indoor_blocks(rng: Generator, followers: int) -> tuple[World, Course]:
 def indoor_wall(rng: Generator, followers: int) -> tuple[World, Course]:
     """Return a hall with one high wall across the way; there is room at both its ends, more at one."""
     course = _course(_INDOOR_GOAL_M, followers)
-    length, height = rng.uniform(5.0, 7.0), 4.2
+    length, height = rng.uniform(5.0, 6.5), 4.2
     most = _HALL_HALF_WIDTH_M - 0.5 * length - PASSAGE_M
     middle = [rng.uniform(9.0, 11.0), rng.uniform(-most, most), 0.5 * height]
     wall = boxes([middle], [[0.3, length, height]], np.zeros(1), rng.uniform(0.3, 0.7, 1))
@@ -78,7 +78,7 @@ def outdoor_pillars(rng: Generator, followers: int) -> tuple[World, Course]:
         height_m=4.5,
         free=course.free(),
         gap_m=OUTDOOR_PILLAR_GAP_M,
-        failures_until_full=60,
+        failures_until_full=20,
     )
     shades = rng.uniform(0.3, 0.7, len(rods))
     standing = cylinders(rods[:, :3], rods[:, 3:6], rods[:, 6], shades)
@@ -105,7 +105,7 @@ def display_tower(rng: Generator, followers: int) -> tuple[World, Course]:
 
 
 def short_forest(rng: Generator, followers: int) -> tuple[World, Course]:
-    """Return dense shrubs and small trees, up to 3 m high, 2.5 m from leaf to leaf."""
+    """Return dense shrubs and small trees, up to 3 m high, 3.2 m from leaf to leaf."""
     course = _course(24.0, followers)
     rods = fill_with_pillars(
         rng,

@@ -3,7 +3,7 @@
 The guaranteed gap is that between stems and rocks, measured between their surfaces in three dimensions:
 trunks lean, so two may come nearer to each other aloft than their feet are. Crowns and branches reach into
 the gaps; that is what makes the forest harder than its simplified form at the same gap. They end
-`CROWN_REACH_M` from their stem's axis, so at least 1.8 m between two trees stays free at a gap of 5 m.
+`CROWN_REACH_M` from their stem's axis, so at least 1 m between two trees stays free at a gap of 5 m.
 """
 
 import math
@@ -20,13 +20,13 @@ from sitl.worlds.primitives import World
 from sitl.worlds.surfaces import capsules, cylinders, ground, spheres, together
 
 GAP_M = 5.0
-CROWN_REACH_M = 1.6
+CROWN_REACH_M = 2.0
 """Leaves and branches end this far from the stem's axis."""
 CROWN_FLOOR_M = 1.5
 """No leaf hangs lower."""
-_FAILURES_UNTIL_FULL = 1000
+_FAILURES_UNTIL_FULL = 2000
 _BELOW_GROUND_M = 0.3
-_LEAVES_EACH = 5
+_LEAVES_EACH = 6
 _BRANCHES_EACH = 2
 
 
@@ -49,7 +49,7 @@ class _Wood:
     rock_share: float
 
 
-_SIMPLIFIED = _Wood((0.2, 0.5), (4.5, 7.0), 20.0, (0.4, 1.2), 0.3)
+_SIMPLIFIED = _Wood((0.2, 0.5), (4.5, 6.0), 20.0, (0.5, 1.4), 0.3)
 _GROWN = _Wood((0.12, 0.3), (5.5, 8.0), 10.0, (0.4, 1.2), 0.2)
 
 
@@ -99,9 +99,9 @@ def _stand(rng: Generator, course: Course, wood: _Wood, reach_m: float) -> tuple
 def _crowns(rng: Generator, trunks: FloatArray) -> World:
     """Return some balls of leaves round the upper part of every trunk."""
     count = (len(trunks), _LEAVES_EACH)
-    radii = rng.uniform(0.4, 0.8, count)
-    bottoms = rng.uniform(CROWN_FLOOR_M, CROWN_FLOOR_M + 1.2, (len(trunks), 1))
-    heights = bottoms + radii + rng.uniform(0.0, 2.0, count)
+    radii = rng.uniform(0.5, 0.9, count)
+    bottoms = rng.uniform(CROWN_FLOOR_M, CROWN_FLOOR_M + 0.5, (len(trunks), 1))
+    heights = bottoms + radii + rng.uniform(0.0, 1.5, count)
     centres = _beside(trunks, heights, (CROWN_REACH_M - radii) * np.sqrt(rng.random(count)), rng)
     shades = np.repeat(rng.uniform(0.3, 0.6, len(trunks)), _LEAVES_EACH)
     return spheres(centres.reshape(-1, 3), radii.ravel(), shades)
@@ -112,7 +112,7 @@ def _branches(rng: Generator, trunks: FloatArray) -> World:
     count = (len(trunks), _BRANCHES_EACH)
     radii = rng.uniform(0.015, 0.04, count)
     starts = _axis_at(trunks, rng.uniform(0.8, 2.5, count))
-    lengths, azimuths = rng.uniform(0.6, CROWN_REACH_M - 0.2, count), rng.uniform(-math.pi, math.pi, count)
+    lengths, azimuths = rng.uniform(0.6, CROWN_REACH_M - 0.4, count), rng.uniform(-math.pi, math.pi, count)
     # A trunk that leans carries its branches with it; level lengths are held inside the crown's reach.
     rise = lengths * np.tan(np.radians(rng.uniform(5.0, 45.0, count)))
     ends = starts + np.stack([lengths * np.cos(azimuths), lengths * np.sin(azimuths), rise], axis=-1)
