@@ -62,6 +62,7 @@ th.name, td.name { text-align: left; }
 thead th { color: #64748b; border-bottom: 1px solid #e5e9f0; font-weight: 600; }
 tr.first td { border-top: 1px solid #e5e9f0; }
 tr.paper td { color: #64748b; font-style: italic; }
+tr.paper td:first-child { color: inherit; font-style: normal; }
 figcaption, p.note, li.note { color: #64748b; font-size: 13px; margin: 6px 0 0; }
 details { margin: 6px 0; } summary { cursor: pointer; }
 a { color: #2563eb; } code { font-size: 13px; }

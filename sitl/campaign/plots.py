@@ -58,7 +58,7 @@ def figure_boxes(cases: Sequence[CaseSummary], labels: Labels) -> list[FigureBox
             wide=True,
         )
     ]
-    if len({case.followers for case in cases}) > 1:
+    if any(len(sizes) > 1 for sizes in _sizes(cases).values()):
         caption = "With 95 % Wilson intervals. Dashed: the paper's learned policy."
         boxes.append(
             FigureBox("sizes", "Success rate by size of the swarm", caption, success_by_size(cases, labels))
@@ -77,7 +77,7 @@ def figure_boxes(cases: Sequence[CaseSummary], labels: Labels) -> list[FigureBox
         FigureBox(
             f"metric-{name.lower()}",
             f"{METRIC_TITLES[name]} by world",
-            "Mean over trials with one standard deviation.",
+            "Mean over trials with one standard deviation; colours as above.",
             metric_by_world(cases, name),
         )
         for name in MEANS
@@ -110,15 +110,17 @@ def success_by_world(cases: Sequence[CaseSummary], labels: Labels) -> Figure:
                 "hovertemplate": "%{x}: %{y:.1f} %<extra>" + _safe(name) + "</extra>",
             }
         )
-        traces += _published_marks(method, followers, here, labels, str(index), shown=index == 0)
+        traces += _published_marks(method, followers, here, labels, str(index))
     layout = style.layout(x_title="", y_title="success rate, %", height=420, barmode="group")
     layout["scattermode"] = "group"
+    layout["legend"] = {"x": 1.01, "y": 1, "font": {"size": 11}}
+    layout["xaxis"] |= _in_order(worlds)
     layout["yaxis"]["range"] = [0, 105]
     return {"data": traces, "layout": layout}
 
 
 def _published_marks(
-    method: str, followers: int, worlds: Sequence[str], labels: Labels, group: str, *, shown: bool
+    method: str, followers: int, worlds: Sequence[str], labels: Labels, group: str
 ) -> list[Figure]:
     """Return the paper's numbers for the same method, over the bars of ours."""
     known = labels.method(method)
@@ -139,16 +141,15 @@ def _published_marks(
             "y": [value for _, value in found],
             "marker": marker,
             "offsetgroup": group,
-            "legendgroup": "paper",
-            "showlegend": shown,
+            "showlegend": False,
             "hovertemplate": "%{x}: %{y:.1f} %<extra>paper</extra>",
         }
     ]
 
 
 def success_by_size(cases: Sequence[CaseSummary], labels: Labels) -> Figure:
-    """Return success rates over the number of followers, a line for every world and method."""
-    lines = list(dict.fromkeys((case.world, case.method, case.fidelity) for case in cases))
+    """Return success rates over the number of followers, a line for every world and method with several."""
+    lines = [line for line, sizes in _sizes(cases).items() if len(sizes) > 1]
     traces = []
     for index, (world, method, fidelity) in enumerate(lines):
         chosen = sorted(
@@ -157,7 +158,7 @@ def success_by_size(cases: Sequence[CaseSummary], labels: Labels) -> Figure:
         )
         name = f"{method_title(method)}, {world_title(world)}" + ("" if fidelity == "abstract" else ", full")
         traces.append(_line(name, [case.followers for case in chosen], chosen, COLOURS[index % len(COLOURS)]))
-    for index, world in enumerate(distinct([case.world for case in cases])):
+    for index, world in enumerate(distinct([world for world, _, _ in lines])):
         site = labels.site(world)
         known = [
             (size, value.mean)
@@ -228,7 +229,10 @@ def metric_by_world(cases: Sequence[CaseSummary], metric: str) -> Figure:
                 "marker": {"color": COLOURS[index % len(COLOURS)]},
             }
         )
-    layout = style.layout(x_title="", y_title=METRIC_TITLES[metric], height=320, barmode="group")
+    layout = style.layout(
+        x_title="", y_title=METRIC_TITLES[metric], height=280, barmode="group", showlegend=False
+    )
+    layout["xaxis"] |= _in_order(worlds)
     return {"data": traces, "layout": layout}
 
 
@@ -261,6 +265,18 @@ def ends(cases: Sequence[CaseSummary]) -> Figure:
     layout["xaxis"]["range"] = [0, 100]
     layout["yaxis"]["autorange"] = "reversed"
     return {"data": traces, "layout": layout}
+
+
+def _sizes(cases: Sequence[CaseSummary]) -> dict[tuple[str, str, str], set[int]]:
+    """Return with how many followers every method flew in every world."""
+    sizes: dict[tuple[str, str, str], set[int]] = {}
+    for case in cases:
+        sizes.setdefault((case.world, case.method, case.fidelity), set()).add(case.followers)
+    return sizes
+
+
+def _in_order(worlds: Sequence[str]) -> dict[str, Any]:
+    return {"categoryorder": "array", "categoryarray": [world_title(world) for world in worlds]}
 
 
 def _group(case: CaseSummary) -> _Group:

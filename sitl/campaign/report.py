@@ -78,8 +78,8 @@ def write_report(
             definition.title,
             _lead(cases),
             figure_boxes(cases, Labels.of(definition)),
-            before=_links() + sections,
-            after=_trials(ordered, log_of),
+            before=_links() + html_table(tables[0]),
+            after="".join(map(html_table, tables[1:])) + _trials(ordered, log_of),
         ),
     }
     for name, text in texts.items():

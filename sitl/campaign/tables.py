@@ -124,13 +124,17 @@ def comparison_table(cases: Sequence[CaseSummary], labels: Labels, cap_m: float)
 
 
 def scalability_table(cases: Sequence[CaseSummary], labels: Labels, cap_m: float) -> Table | None:
-    """Return worlds by sizes of the swarm, None if there is but one size."""
-    sizes = sorted({case.followers for case in cases})
-    if len(sizes) < 2:
+    """Return worlds by sizes of the swarm, of the methods that flew with several; None if none did."""
+    known: dict[tuple[str, str, Fidelity], set[int]] = {}
+    for case in cases:
+        known.setdefault((case.world, case.method, case.fidelity), set()).add(case.followers)
+    chosen = [case for case in cases if len(known[case.world, case.method, case.fidelity]) > 1]
+    if not chosen:
         return None
-    worlds = distinct([case.world for case in cases])
-    at = {(case.world, case.method, case.fidelity, case.followers): case for case in cases}
-    ours = list(dict.fromkeys((case.method, case.fidelity) for case in cases))
+    sizes = sorted({case.followers for case in chosen})
+    worlds = distinct([case.world for case in chosen])
+    at = {(case.world, case.method, case.fidelity, case.followers): case for case in chosen}
+    ours = list(dict.fromkeys((case.method, case.fidelity) for case in chosen))
     rows: list[Row] = []
     for metric in METRICS:
         for world in worlds:
@@ -151,7 +155,7 @@ def scalability_table(cases: Sequence[CaseSummary], labels: Labels, cap_m: float
         names=("Metric", "World", "Method", "Source"),
         values=tuple(map(str, sizes)),
         rows=tuple(rows),
-        notes=notes(cap_m, [case.trials for case in cases]),
+        notes=notes(cap_m, [case.trials for case in chosen]),
     )
 
 

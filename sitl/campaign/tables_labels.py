@@ -24,7 +24,7 @@ METHOD_TITLES = {
     "pacnav": "PACNav",
     "vpf": "VPF",
     "vpf_polar": "VPF, polar",
-    "reynolds_apf": "Reynolds + APF (DAgger's expert)",
+    "reynolds_apf": "Reynolds + APF (DAgger)",
     "lloyd": "Lloyd",
     PROPOSED: "Proposed",
 }
