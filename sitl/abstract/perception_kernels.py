@@ -1,0 +1,255 @@
+"""What a vehicle perceives: late, noisy, held between scans, and only what is in view.
+
+A follower's knowledge of another vehicle is a row of `TRACK_WIDTH` numbers: position and velocity in the
+world as measured, own position and velocity when they were, the time for which they hold, the time of the
+last sighting, sightings in a row, and whether it is known at all.
+
+Scalar arithmetic only, in the common subset of compilers for processors and graphics cards.
+"""
+
+import math
+
+import numpy as np
+
+from companion.compiled import compiled, inlined
+from companion.messages import FloatArray
+from sitl.abstract import parameters as place
+from sitl.abstract.grid_kernels import AN_OBSTACLE, KNOWN, LEFT_OUT, IndexArray, draw_grid
+from sitl.abstract.random_kernels import normal_pair, stream, uniform
+from sitl.abstract.sight_kernels import sees, up_of, yaw_of
+
+OWN_P, OWN_V, T_VALID, T_SEEN, STREAK, IS_KNOWN = 6, 9, 12, 13, 14, 15
+TRACK_WIDTH = 16
+
+_SIGHT_STREAM, _OWN_STREAM = 1, 2
+_BEHIND = -7.0
+
+MASK = np.uint8
+
+
+@inlined
+def past(history: FloatArray, step: int, delay: int) -> int:
+    """Return the row of the history that held `delay` steps ago; the first state before there was any."""
+    return max(step - delay, 0) % history.shape[0]
+
+
+@compiled(
+    "void(uint64, int64, int64, float64[:,:,::1], int32[::1], float64[:,::1], float64[:,::1], int32[::1],"
+    " int64, float64[::1], float64[:,::1])"
+)
+def look_around(
+    seed: np.uint64,
+    i: int,
+    step: int,
+    history: FloatArray,
+    kinds: IndexArray,
+    rows: FloatArray,
+    discs: FloatArray,
+    candidates: IndexArray,
+    count: int,
+    parameters: FloatArray,
+    tracks: FloatArray,
+) -> None:
+    """Bring one follower's knowledge of the others up to date with the scan that arrives now.
+
+    Args:
+        seed: of the trial.
+        i: whose knowledge.
+        step: number of the control step.
+        history: (h, n, 10) recent positions, velocities and attitudes, step k in row k mod h.
+        kinds: (m,) kind of each primitive.
+        rows: (m, 8) its shape.
+        discs: (m, 3) its enclosing vertical cylinder.
+        candidates: primitives that may be near, the first `count` of them.
+        count: how many.
+        parameters: see `sitl.abstract.parameters`.
+        tracks: (n, 16) what i knows of each, changed in place.
+    """
+    delay = int(parameters[place.NEIGHBOUR_DELAY])
+    states = history[past(history, step, delay)]
+    t_valid = (step - delay) * parameters[place.CONTROL_STEP]
+    for j in range(states.shape[0]):
+        if j == i:
+            continue
+        seen = sees(
+            i, j, states, kinds, rows, discs, candidates, count, parameters[place.SIGHT_RANGE],
+            parameters[place.SIGHT_LOWEST], parameters[place.SIGHT_HIGHEST], parameters[place.BODY_RADIUS],
+            int(parameters[place.FREE_RAYS]),
+        )  # fmt: skip
+        track = tracks[j]
+        chance = stream(seed, step, i * states.shape[0] + j, _SIGHT_STREAM)
+        distance = 0.0
+        for axis in range(3):
+            distance += (states[j, axis] - states[i, axis]) ** 2
+        distance = math.sqrt(distance)
+        if seen:
+            share = distance / parameters[place.SIGHT_RANGE]
+            missed = parameters[place.DROPOUT] + parameters[place.DROPOUT_FAR] * share * share
+            seen = not (missed > 0.0 and uniform(chance, _SIGHT_STREAM + 62) < missed)
+        if not seen:
+            track[STREAK] = 0.0
+            if t_valid - track[T_SEEN] > parameters[place.COAST] - 1e-9:
+                track[IS_KNOWN] = 0.0
+            continue
+        track[STREAK] += 1.0
+        if track[STREAK] >= parameters[place.SIGHTINGS]:
+            track[IS_KNOWN] = 1.0
+        a, b = normal_pair(chance, 0)
+        c, d = normal_pair(chance, 1)
+        e, f = normal_pair(chance, 2)
+        sigma_p = parameters[place.POSITION_SIGMA] + parameters[place.POSITION_SIGMA_FAR] * distance
+        sigma_v = parameters[place.VELOCITY_SIGMA] + parameters[place.VELOCITY_SIGMA_FAR] * distance
+        track[0] = states[j, 0] + sigma_p * a
+        track[1] = states[j, 1] + sigma_p * b
+        track[2] = states[j, 2] + sigma_p * c
+        track[3] = states[j, 3] + sigma_v * d
+        track[4] = states[j, 4] + sigma_v * e
+        track[5] = states[j, 5] + sigma_v * f
+        for axis in range(6):
+            track[OWN_P + axis] = states[i, axis]
+        track[T_VALID] = t_valid
+        track[T_SEEN] = t_valid
+
+
+@compiled(
+    "void(int64, int64, float64[:,:,::1], int32[::1], float64[:,::1], float64[:,::1], int32[::1], int64,"
+    " float64[::1], float64[::1], float64[:,::1], float64[:,::1], float64[:,::1], float64[:,::1],"
+    " float64[:,::1], uint8[::1], float64[::1], float64[:,::1])"
+)
+def look_at_obstacles(
+    i: int,
+    step: int,
+    history: FloatArray,
+    kinds: IndexArray,
+    rows: FloatArray,
+    discs: FloatArray,
+    candidates: IndexArray,
+    count: int,
+    parameters: FloatArray,
+    limits: FloatArray,
+    azimuth_rays: FloatArray,
+    elevation_rays: FloatArray,
+    column_edges: FloatArray,
+    row_edges: FloatArray,
+    tracks: FloatArray,
+    roles: np.ndarray[tuple[int], np.dtype[MASK]],
+    up_heading: FloatArray,
+    ranges: FloatArray,
+) -> None:
+    """Draw the obstacle grid (columns, rows) that reaches follower i now; the rest as for `look_around`.
+
+    `limits` and the four tables are those of `grid_kernels.draw_grid`; `roles` (n,) and `up_heading` (3,)
+    are scratch.
+    """
+    states = history[past(history, step, int(parameters[place.GRID_DELAY]))]
+    for j in range(states.shape[0]):
+        roles[j] = KNOWN if tracks[j, IS_KNOWN] > 0.0 else AN_OBSTACLE
+    roles[i] = LEFT_OUT
+    yaw = yaw_of(states[i, 6:10])
+    ux, uy, uz = up_of(states[i, 6:10])
+    up_heading[0] = math.cos(yaw) * ux + math.sin(yaw) * uy
+    up_heading[1] = math.cos(yaw) * uy - math.sin(yaw) * ux
+    up_heading[2] = uz
+    draw_grid(
+        kinds, rows, discs, candidates, count, states, roles, parameters[place.BODY_RADIUS],
+        states[i, 0], states[i, 1], states[i, 2], yaw, up_heading, limits, azimuth_rays, elevation_rays,
+        column_edges, row_edges, ranges,
+    )  # fmt: skip
+
+
+@inlined
+def _put(row: FloatArray, at: int, x: float, y: float, z: float, cosine: float, sine: float) -> None:
+    row[at] = cosine * x + sine * y
+    row[at + 1] = cosine * y - sine * x
+    row[at + 2] = z
+
+
+@compiled(
+    "void(uint64, int64, int64, float64[:,:,::1], float64[::1], float64[:,::1], float64[::1], float64[:,::1])"
+)
+def observe(
+    seed: np.uint64,
+    i: int,
+    step: int,
+    history: FloatArray,
+    parameters: FloatArray,
+    tracks: FloatArray,
+    ego: FloatArray,
+    neighbours: FloatArray,
+) -> None:
+    """Fill what a follower's law is given: its own motion and its nearest neighbours.
+
+    Args:
+        seed: of the trial.
+        i: whose view.
+        step: number of the control step.
+        history: (h, n, 10) recent states.
+        parameters: see `sitl.abstract.parameters`.
+        tracks: (n, 16) what i knows of each.
+        ego: (10,) out: position, velocity in the heading frame, heading, height, step s, seconds since
+            anybody was perceived; the last is kept here from step to step.
+        neighbours: (k, 8) out: relative position and velocity in the heading frame, 1, number; nearest
+            first, zeros where nobody is.
+    """
+    dt = parameters[place.CONTROL_STEP]
+    compensate = parameters[place.COMPENSATE] > 0.5
+    own_delay = 0 if compensate else int(parameters[place.EGO_DELAY])
+    own = history[past(history, step, own_delay), i]
+    chance = stream(seed, step, i, _OWN_STREAM)
+    a, b = normal_pair(chance, 0)
+    c, _ = normal_pair(chance, 1)
+    sigma = parameters[place.EGO_VELOCITY_SIGMA]
+    vx, vy, vz = own[3] + sigma * a, own[4] + sigma * b, own[5] + sigma * c
+    yaw = yaw_of(own[6:10])
+    cosine, sine = math.cos(yaw), math.sin(yaw)
+    for axis in range(3):
+        ego[axis] = own[axis]
+    _put(ego, 3, vx, vy, vz, cosine, sine)
+    ego[6] = yaw
+    ego[7] = own[2] - parameters[place.GROUND]
+    ego[8] = dt
+    anybody = False
+    for j in range(tracks.shape[0]):
+        anybody = anybody or tracks[j, IS_KNOWN] > 0.0
+    ego[9] = 0.0 if anybody else ego[9] + dt
+    for row in range(neighbours.shape[0]):
+        for column in range(neighbours.shape[1]):
+            neighbours[row, column] = 0.0
+    now = step * dt
+    most = min(int(parameters[place.NEIGHBOUR_COUNT]), neighbours.shape[0])
+    filled, least, least_j = 0, _BEHIND, -1
+    while filled < most:
+        # The next nearest after the one before, so that no order needs to be kept.
+        best, best_j = math.inf, -1
+        for j in range(tracks.shape[0]):
+            track = tracks[j]
+            if track[IS_KNOWN] == 0.0:
+                continue
+            age = now - track[T_VALID] if compensate else 0.0
+            square = 0.0
+            for axis in range(3):
+                origin = own[axis] if compensate else track[OWN_P + axis]
+                square += (track[axis] + age * track[3 + axis] - origin) ** 2
+            if (square > least or (square == least and j > least_j)) and square < best:
+                best, best_j = square, j
+        if best_j < 0:
+            break
+        least, least_j = best, best_j
+        track, row_of = tracks[best_j], neighbours[filled]
+        if compensate:
+            age = now - track[T_VALID]
+            _put(
+                row_of, 0, track[0] + age * track[3] - own[0], track[1] + age * track[4] - own[1],
+                track[2] + age * track[5] - own[2], cosine, sine,
+            )  # fmt: skip
+            _put(row_of, 3, track[3] - vx, track[4] - vy, track[5] - vz, cosine, sine)
+        else:
+            _put(
+                row_of, 0, track[0] - track[6], track[1] - track[7], track[2] - track[8], cosine, sine
+            )
+            _put(
+                row_of, 3, track[3] - track[9], track[4] - track[10], track[5] - track[11], cosine, sine
+            )
+        row_of[6] = 1.0
+        row_of[7] = best_j
+        filled += 1
