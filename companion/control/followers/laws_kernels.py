@@ -7,23 +7,27 @@ from companion.control.followers.flock_kernels import flock
 from companion.control.followers.layout_kernels import (
     EGO_ALONE,
     EGO_DT,
-    EGO_HEIGHT,
     EGO_YAW,
-    HEIGHT_GAIN,
-    HEIGHT_SPEED,
     MAX_ACCELERATION,
     MAX_SPEED,
     MAX_VERTICAL_SPEED,
     METHOD_IDS,
     PREVIOUS,
-    RECOVERY_HEIGHT,
-    ROW_P,
-    ROW_PRESENT,
     STARTED,
 )
+from companion.control.followers.lloyd_kernels import lloyd
+from companion.control.followers.pacnav_kernels import pacnav
+from companion.control.followers.reynolds_kernels import reynolds
+from companion.control.followers.sensing_kernels import keep_height
+from companion.control.followers.visual_kernels import visual_field, visual_field_polar
 from companion.messages import FloatArray
 
 _FLOCK = METHOD_IDS["flock"]
+_PACNAV = METHOD_IDS["pacnav"]
+_VPF = METHOD_IDS["vpf"]
+_VPF_POLAR = METHOD_IDS["vpf_polar"]
+_REYNOLDS_APF = METHOD_IDS["reynolds_apf"]
+_LLOYD = METHOD_IDS["lloyd"]
 
 
 @compiled(
@@ -63,6 +67,18 @@ def steer(
         return
     if method == _FLOCK:
         flock(ego, neighbours, ranges, memory, parameters, command)
+    elif method == _PACNAV:
+        pacnav(ego, neighbours, ranges, memory, parameters, command)
+    elif method == _VPF:
+        visual_field(ego, neighbours, ranges, memory, parameters, command)
+    elif method == _VPF_POLAR:
+        visual_field_polar(ego, neighbours, ranges, memory, parameters, command)
+    elif method == _REYNOLDS_APF:
+        reynolds(ego, neighbours, ranges, memory, parameters, command)
+    elif method == _LLOYD:
+        lloyd(ego, neighbours, ranges, memory, parameters, command)
+    if method in (_PACNAV, _VPF, _VPF_POLAR, _REYNOLDS_APF, _LLOYD):
+        command[2] = keep_height(ego, neighbours, parameters)
     _finish(ego, memory, parameters, command)
 
 
@@ -84,20 +100,6 @@ def _is_sound(ego: FloatArray, neighbours: FloatArray, ranges: FloatArray) -> bo
             if not ranges[column, row] >= 0.0:
                 return False
     return True
-
-
-@inlined
-def keep_height(ego: FloatArray, neighbours: FloatArray, parameters: FloatArray) -> float:
-    """Return the vertical velocity towards the neighbours' mean height, or home if nobody is seen."""
-    count, rise = 0, 0.0
-    for row in range(neighbours.shape[0]):
-        if neighbours[row, ROW_PRESENT] > 0.5:
-            count += 1
-            rise += neighbours[row, ROW_P + 2]
-    wanted = rise / count if count > 0 else parameters[RECOVERY_HEIGHT] - ego[EGO_HEIGHT]
-    limit = parameters[HEIGHT_SPEED]
-    speed: float = min(max(parameters[HEIGHT_GAIN] * wanted, -limit), limit)
-    return speed
 
 
 @inlined

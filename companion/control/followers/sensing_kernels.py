@@ -3,7 +3,16 @@
 import math
 
 from companion.compiled import inlined
-from companion.control.followers.layout_kernels import HIGHEST_ELEVATION_DEG, LOWEST_ELEVATION_DEG
+from companion.control.followers.layout_kernels import (
+    EGO_HEIGHT,
+    HEIGHT_GAIN,
+    HEIGHT_SPEED,
+    HIGHEST_ELEVATION_DEG,
+    LOWEST_ELEVATION_DEG,
+    RECOVERY_HEIGHT,
+    ROW_P,
+    ROW_PRESENT,
+)
 from companion.messages import FloatArray
 
 
@@ -65,3 +74,17 @@ def find_columns_up_to(ranges: FloatArray, highest: float, columns: FloatArray, 
 def direction_of(column: int, azimuths: int) -> float:
     """Return the angle of a column's centre to the left of straight ahead, rad."""
     return (column + 0.5) * 2.0 * math.pi / azimuths
+
+
+@inlined
+def keep_height(ego: FloatArray, neighbours: FloatArray, parameters: FloatArray) -> float:
+    """Return the vertical velocity towards the neighbours' mean height, or home if nobody is seen."""
+    count, rise = 0, 0.0
+    for row in range(neighbours.shape[0]):
+        if neighbours[row, ROW_PRESENT] > 0.5:
+            count += 1
+            rise += neighbours[row, ROW_P + 2]
+    wanted = rise / count if count > 0 else parameters[RECOVERY_HEIGHT] - ego[EGO_HEIGHT]
+    limit = parameters[HEIGHT_SPEED]
+    speed: float = min(max(parameters[HEIGHT_GAIN] * wanted, -limit), limit)
+    return speed

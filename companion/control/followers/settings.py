@@ -1,18 +1,32 @@
 """Which law a follower flies by, and the gains of each."""
 
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from pydantic import Field
 
+from companion.control.followers.baseline_settings import (
+    LloydSettings,
+    PacnavSettings,
+    ReynoldsApfSettings,
+    VpfPolarSettings,
+    VpfSettings,
+)
 from companion.control.followers.flock_settings import FlockSettings
 from companion.control.followers.layout_kernels import LAW_PARAMETERS, METHOD_IDS, PARAMETER_COUNT
 from companion.messages import FloatArray
 from companion.settings import Settings
 
-Method = Literal["flock"]
+Method = Literal["flock", "pacnav", "vpf", "vpf_polar", "reynolds_apf", "lloyd"]
 METHODS: dict[str, type[Settings]] = {
     "flock": FlockSettings,
+    "pacnav": PacnavSettings,
+    "vpf": VpfSettings,
+    "vpf_polar": VpfPolarSettings,
+    "reynolds_apf": ReynoldsApfSettings,
+    "lloyd": LloydSettings,
 }
 """The settings of each law."""
 
@@ -43,6 +57,16 @@ class FollowerSettings(Settings):
     """What holds for every law's velocity."""
     flock: FlockSettings = FlockSettings()
     """Gains of `flock`."""
+    pacnav: PacnavSettings = PacnavSettings()
+    """Gains of `pacnav`."""
+    vpf: VpfSettings = VpfSettings()
+    """Gains of `vpf`."""
+    vpf_polar: VpfPolarSettings = VpfPolarSettings()
+    """Gains of `vpf_polar`."""
+    reynolds_apf: ReynoldsApfSettings = ReynoldsApfSettings()
+    """Gains of `reynolds_apf`."""
+    lloyd: LloydSettings = LloydSettings()
+    """Gains of `lloyd`."""
 
     def packed(self, method: str | None = None) -> FloatArray:
         """Return the parameters (PARAMETER_COUNT,) that `steer` wants for a law.
@@ -62,3 +86,47 @@ class FollowerSettings(Settings):
         parameters[: len(command)] = command
         parameters[LAW_PARAMETERS : LAW_PARAMETERS + len(gains)] = gains
         return parameters
+
+
+@dataclass(frozen=True, slots=True)
+class Gain:
+    """One gain of a law, as a tuner sees it.
+
+    Attributes:
+        name: key in the law's section.
+        default: its value without configuration.
+        low: smallest value allowed.
+        high: greatest value allowed.
+    """
+
+    name: str
+    default: float
+    low: float
+    high: float
+
+
+def gains_of(method: str) -> tuple[Gain, ...]:
+    """Return all gains of a law with their bounds, in the order of its parameters.
+
+    Raises:
+        KeyError: if there is no such law.
+    """
+    gains = []
+    for name, field in METHODS[method].model_fields.items():
+        bounds = {"low": -np.inf, "high": np.inf}
+        for limit in field.metadata:
+            for key, bound in (("ge", "low"), ("gt", "low"), ("le", "high"), ("lt", "high")):
+                if (value := getattr(limit, key, None)) is not None:
+                    bounds[bound] = float(value)
+        gains.append(Gain(name, float(field.default), bounds["low"], bounds["high"]))
+    return tuple(gains)
+
+
+def with_gains(settings: FollowerSettings, method: str, gains: Mapping[str, float]) -> FollowerSettings:
+    """Return settings that fly a law with some of its gains changed, checked as those of a file are.
+
+    Raises:
+        pydantic.ValidationError: if a gain is unknown or out of bounds.
+    """
+    section = {**getattr(settings, method).model_dump(), **gains}
+    return FollowerSettings.model_validate({**settings.model_dump(), "method": method, method: section})

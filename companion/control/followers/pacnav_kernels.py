@@ -1,0 +1,208 @@
+"""The `pacnav` law: follow whoever flies most purposefully, by persistence and similarity of paths.
+
+Source: A. Ahmad, D. B. Licea, G. Silano, T. Baca, M. Saska, "PACNav: a collective navigation approach for
+UAV swarms deprived of communication and external localization", 2022. Virtual obstacles come from the columns
+of the obstacle grid; whether a neighbour leads nobody knows, so nobody slows down as a leader.
+"""
+
+import math
+
+from companion.compiled import inlined
+from companion.control.followers.layout_kernels import (
+    AZIMUTHS,
+    EGO_P,
+    EGO_YAW,
+    MAX_ROWS,
+    PACNAV_BODY_RADIUS,
+    PACNAV_COLUMNS,
+    PACNAV_FLOCK_RADIUS,
+    PACNAV_FORCE,
+    PACNAV_FORCE_REACH,
+    PACNAV_LAST_P,
+    PACNAV_MAX_SPEED,
+    PACNAV_NAVIGATION,
+    PACNAV_PATH_COUNT,
+    PACNAV_TARGET,
+    PREVIOUS,
+    ROW_P,
+    ROW_PRESENT,
+)
+from companion.control.followers.pacnav_path_kernels import (
+    first_beat,
+    is_known,
+    is_near,
+    last_beat,
+    path_at,
+    remember_paths,
+    sample,
+    score,
+)
+from companion.control.followers.sensing_kernels import direction_of, find_columns_up_to
+from companion.messages import FloatArray
+
+_HIGHEST_RAD = math.radians(20.0)
+_LEAST_GAP_M = 0.01
+_STANDING_MPS = 0.017
+_COLUMNS_PER_OBSTACLE = 3
+_BRAKING_POWER = 8.0
+
+
+@inlined
+def pacnav(
+    ego: FloatArray,
+    neighbours: FloatArray,
+    ranges: FloatArray,
+    memory: FloatArray,
+    parameters: FloatArray,
+    wish: FloatArray,
+) -> None:
+    """Write the horizontal velocity that `pacnav` wants into `wish`, in the heading frame, m/s."""
+    remember_paths(ego, neighbours, memory, parameters)
+    find_columns_up_to(ranges, _HIGHEST_RAD, memory, PACNAV_COLUMNS)
+    _choose_target(ego, memory, parameters)
+    _navigate(ego, neighbours, memory, parameters, wish)
+    _keep_clear(ego, neighbours, memory, parameters, wish)
+    speed = math.sqrt(wish[0] * wish[0] + wish[1] * wish[1])
+    if speed > parameters[PACNAV_MAX_SPEED]:
+        wish[0] *= parameters[PACNAV_MAX_SPEED] / speed
+        wish[1] *= parameters[PACNAV_MAX_SPEED] / speed
+
+
+@inlined
+def _distance(ego: FloatArray, memory: FloatArray, path: int) -> float:
+    at = path_at(path) + PACNAV_LAST_P
+    return math.hypot(memory[at] - ego[EGO_P], memory[at + 1] - ego[EGO_P + 1])
+
+
+@inlined
+def _choose_target(ego: FloatArray, memory: FloatArray, parameters: FloatArray) -> None:
+    """Keep the target, unless somebody who is not on the way to it flies more purposefully."""
+    target = -1
+    nearest, nearest_distance = -1, math.inf
+    anybody = False
+    for path in range(PACNAV_PATH_COUNT):
+        if not is_known(memory, path):
+            continue
+        anybody = anybody or is_near(memory, path, parameters)
+        if memory[path_at(path)] == memory[PACNAV_TARGET]:
+            target = path
+        distance = _distance(ego, memory, path)
+        if parameters[PACNAV_FLOCK_RADIUS] < distance < nearest_distance:
+            nearest, nearest_distance = path, distance
+    if not anybody:
+        memory[PACNAV_TARGET] = 0.0
+        return
+    if target < 0:
+        target = nearest
+    if target < 0:
+        memory[PACNAV_TARGET] = 0.0
+        return
+    best = score(memory, target, parameters)
+    for path in range(PACNAV_PATH_COUNT):
+        if path == target or not is_known(memory, path):
+            continue
+        if _distance(ego, memory, path) <= parameters[PACNAV_FLOCK_RADIUS]:
+            continue
+        at = path_at(target) + PACNAV_LAST_P
+        x_old, y_old = sample(memory, path, first_beat(memory, path))
+        x_new, y_new = sample(memory, path, last_beat(memory, path))
+        before = math.hypot(x_old - memory[at], y_old - memory[at + 1])
+        after = math.hypot(x_new - memory[at], y_new - memory[at + 1])
+        if after < before:
+            continue
+        other = score(memory, path, parameters)
+        if other > best:
+            target, best = path, other
+    memory[PACNAV_TARGET] = memory[path_at(target)]
+
+
+@inlined
+def _navigate(
+    ego: FloatArray, neighbours: FloatArray, memory: FloatArray, parameters: FloatArray, wish: FloatArray
+) -> None:
+    """Fly to the target, braked towards every neighbour that is nearer than the flock's radius."""
+    cos_yaw, sin_yaw = math.cos(ego[EGO_YAW]), math.sin(ego[EGO_YAW])
+    nx, ny = 0.0, 0.0
+    for path in range(PACNAV_PATH_COUNT):
+        at = path_at(path)
+        if memory[PACNAV_TARGET] > 0.0 and memory[at] == memory[PACNAV_TARGET]:
+            dx, dy = memory[at + PACNAV_LAST_P] - ego[EGO_P], memory[at + PACNAV_LAST_P + 1] - ego[EGO_P + 1]
+            nx, ny = cos_yaw * dx + sin_yaw * dy, cos_yaw * dy - sin_yaw * dx
+    for row in range(min(neighbours.shape[0], MAX_ROWS)):
+        if neighbours[row, ROW_PRESENT] < 0.5:
+            continue
+        x, y = neighbours[row, ROW_P], neighbours[row, ROW_P + 1]
+        distance = math.hypot(x, y)
+        if distance < _LEAST_GAP_M:
+            continue
+        ex, ey = x / distance, y / distance
+        ahead = nx * ex + ny * ey
+        gap = max(distance - parameters[PACNAV_BODY_RADIUS], _LEAST_GAP_M)
+        if ahead > 0.0 and gap <= parameters[PACNAV_FLOCK_RADIUS]:
+            less = 1.0 - (gap / parameters[PACNAV_FLOCK_RADIUS]) ** _BRAKING_POWER
+            nx -= less * ahead * ex
+            ny -= less * ahead * ey
+    wish[0] = parameters[PACNAV_NAVIGATION] * nx
+    wish[1] = parameters[PACNAV_NAVIGATION] * ny
+
+
+@inlined
+def _keep_clear(
+    ego: FloatArray, neighbours: FloatArray, memory: FloatArray, parameters: FloatArray, wish: FloatArray
+) -> None:
+    """Add the mean force of the obstacles and that of the neighbours."""
+    cos_yaw, sin_yaw = math.cos(ego[EGO_YAW]), math.sin(ego[EGO_YAW])
+    vx = cos_yaw * memory[PREVIOUS] + sin_yaw * memory[PREVIOUS + 1]
+    vy = cos_yaw * memory[PREVIOUS + 1] - sin_yaw * memory[PREVIOUS]
+    reach, radius = parameters[PACNAV_FORCE_REACH], parameters[PACNAV_BODY_RADIUS]
+    count, sum_x, sum_y = 0, 0.0, 0.0
+    column = 0
+    while column < AZIMUTHS:
+        distance = memory[PACNAV_COLUMNS + column]
+        if distance < reach + radius:
+            angle = direction_of(column, AZIMUTHS)
+            x, y = distance * math.cos(angle), distance * math.sin(angle)
+            fx, fy = _force(x, y, reach, vx, vy, parameters)
+            count, sum_x, sum_y = count + 1, sum_x + fx, sum_y + fy
+            column += _COLUMNS_PER_OBSTACLE
+        else:
+            column += 1
+    if count > 0:
+        wish[0] += sum_x / count
+        wish[1] += sum_y / count
+    count, sum_x, sum_y = 0, 0.0, 0.0
+    for row in range(min(neighbours.shape[0], MAX_ROWS)):
+        if neighbours[row, ROW_PRESENT] < 0.5:
+            continue
+        x, y = neighbours[row, ROW_P], neighbours[row, ROW_P + 1]
+        if max(math.hypot(x, y) - radius, _LEAST_GAP_M) > reach + radius:
+            continue
+        fx, fy = _force(x, y, reach + radius, vx, vy, parameters)
+        count, sum_x, sum_y = count + 1, sum_x + fx, sum_y + fy
+    if count > 0:
+        wish[0] += sum_x / count
+        wish[1] += sum_y / count
+
+
+@inlined
+def _force(
+    x: float, y: float, reach: float, vx: float, vy: float, parameters: FloatArray
+) -> tuple[float, float]:
+    """Return the force of what is at (x, y): along it when far, straight away from it when near."""
+    distance = math.hypot(x, y)
+    if distance < _LEAST_GAP_M:
+        x, y, distance = _LEAST_GAP_M, 0.0, _LEAST_GAP_M
+    gap = max(distance - parameters[PACNAV_BODY_RADIUS], _LEAST_GAP_M)
+    if gap > reach:
+        return 0.0, 0.0
+    size = parameters[PACNAV_FORCE] * (1.0 / math.sqrt(gap) - 1.0 / math.sqrt(reach))
+    bx, by = -size * x / distance, -size * y / distance
+    if math.hypot(vx, vy) < _STANDING_MPS:
+        return bx, by
+    turn = 0.5 * math.pi * gap / reach
+    cos_turn, sin_turn = math.cos(turn), math.sin(turn)
+    left_x, left_y = cos_turn * bx - sin_turn * by, sin_turn * bx + cos_turn * by
+    right_x, right_y = cos_turn * bx + sin_turn * by, cos_turn * by - sin_turn * bx
+    if left_x * vx + left_y * vy >= right_x * vx + right_y * vy:
+        return left_x, left_y
+    return right_x, right_y
