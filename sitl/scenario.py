@@ -7,10 +7,11 @@ from typing import Annotated, Any
 
 import numpy as np
 from numpy.random import Generator, SeedSequence
-from pydantic import Field, Strict, model_validator
+from pydantic import Field, Strict
 
 from companion.clock import NANOSECONDS_PER_SECOND
 from companion.config import SCHEMA_DIALECT, Profile, load_profile
+from companion.errors import ProfileError
 from companion.geometry import rotation
 from companion.geometry.pose import Pose
 from companion.messages import FloatArray
@@ -19,26 +20,12 @@ from companion.yaml_source import load
 from sitl.dynamics import QuadrotorSettings
 from sitl.network import NetworkSettings
 from sitl.wind import WindSettings
-from sitl.worlds.pillars import PillarFieldSettings, pillar_field
-from sitl.worlds.primitives import Primitive, World
+from sitl.worlds.pillars import pillar_field
+from sitl.worlds.primitives import World
+from sitl.worlds.settings import WorldSettings, site_of
+from sitl.worlds.sites import FLOWN_SITES
 
 Point = Annotated[tuple[float, float], Strict(False)]
-
-
-class WorldSettings(Settings):
-    """The surroundings: a random pillar field or an explicit list of bodies."""
-
-    pillars: PillarFieldSettings | None = None
-    """A random field; its free discs are moved to the vehicle's start and goal."""
-
-    primitives: list[Primitive] | None = None
-    """Bodies one by one."""
-
-    @model_validator(mode="after")
-    def _one_kind(self) -> "WorldSettings":
-        if (self.pillars is None) == (self.primitives is None):
-            raise ValueError("name either pillars or primitives")
-        return self
 
 
 class OperatorSettings(Settings):
@@ -142,7 +129,7 @@ def set_stage(scenario: Scenario, folder: Path, seed: int | None, T_world_start:
         T_world_start: where the vehicle stands, if somebody else has decided that already.
 
     Raises:
-        ProfileError: if the vehicle's profile is wrong.
+        ProfileError: if the vehicle's profile or a file of the world is wrong.
     """
     if seed is not None:
         scenario = scenario.model_copy(update={"seed": seed})
@@ -163,23 +150,23 @@ def set_stage(scenario: Scenario, folder: Path, seed: int | None, T_world_start:
         scenario=scenario,
         profile=profile,
         profile_path=profile_path,
-        world=_world(scenario, goal_world, rng),
+        world=_world(scenario, folder, goal_world, rng),
         T_world_start=T_world_start,
         goal_world=goal_world,
         seeds=seeds,
     )
 
 
-def _world(scenario: Scenario, goal_world: FloatArray, rng: Generator) -> World:
-    if scenario.world.pillars is None:
-        return World.of(scenario.world.primitives or ())
-    settings = scenario.world.pillars.model_copy(
-        update={
-            "spawn_world_m": scenario.start_world_m,
-            "goal_world_m": (float(goal_world[0]), float(goal_world[1])),
-        }
-    )
-    return pillar_field(rng, settings)
+def _world(scenario: Scenario, folder: Path, goal_world: FloatArray, rng: Generator) -> World:
+    start, goal = scenario.start_world_m, (float(goal_world[0]), float(goal_world[1]))
+    if scenario.world.site in FLOWN_SITES and start != (0.0, 0.0):
+        raise ProfileError(
+            f"start_world_m: found {start}, allowed is (0, 0): the site {scenario.world.site} begins there"
+        )
+    if scenario.world.pillars is not None:
+        places = {"spawn_world_m": start, "goal_world_m": goal}
+        return pillar_field(rng, scenario.world.pillars.model_copy(update=places))
+    return site_of(scenario.world, rng, folder=folder, followers=0, spawn_world=start, goal_world=goal).world
 
 
 def json_schema() -> dict[str, Any]:

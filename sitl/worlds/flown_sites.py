@@ -105,7 +105,7 @@ def display_tower(rng: Generator, followers: int) -> tuple[World, Course]:
 
 
 def short_forest(rng: Generator, followers: int) -> tuple[World, Course]:
-    """Return dense shrubs and small trees, up to 3 m high, 3.2 m from leaf to leaf."""
+    """Return dense shrubs and small trees, up to 3.2 m high, 3.2 m from leaf to leaf."""
     course = _course(24.0, followers)
     rods = fill_with_pillars(
         rng,
@@ -118,7 +118,7 @@ def short_forest(rng: Generator, followers: int) -> tuple[World, Course]:
         failures_until_full=1000,
     )
     count, each = len(rods), 4
-    tops = rng.uniform(1.3, 3.0, (count, 1))
+    tops = rng.uniform(1.6, 3.2, (count, 1))
     leaf = rods[:, 6:] * rng.uniform(0.45, 0.7, (count, each))
     away = (rods[:, 6:] - leaf) * np.sqrt(rng.random((count, each)))
     azimuths = rng.uniform(-math.pi, math.pi, (count, each))

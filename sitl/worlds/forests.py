@@ -100,8 +100,8 @@ def _crowns(rng: Generator, trunks: FloatArray) -> World:
     """Return some balls of leaves round the upper part of every trunk."""
     count = (len(trunks), _LEAVES_EACH)
     radii = rng.uniform(0.5, 0.9, count)
-    bottoms = rng.uniform(CROWN_FLOOR_M, CROWN_FLOOR_M + 0.5, (len(trunks), 1))
-    heights = bottoms + radii + rng.uniform(0.0, 1.5, count)
+    bottoms = rng.uniform(CROWN_FLOOR_M, CROWN_FLOOR_M + 0.3, (len(trunks), 1))
+    heights = bottoms + radii + rng.uniform(0.0, 1.2, count)
     centres = _beside(trunks, heights, (CROWN_REACH_M - radii) * np.sqrt(rng.random(count)), rng)
     shades = np.repeat(rng.uniform(0.3, 0.6, len(trunks)), _LEAVES_EACH)
     return spheres(centres.reshape(-1, 3), radii.ravel(), shades)

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.random import Generator
 
 from companion.messages import FloatArray
-from sitl.worlds.course import Course
+from sitl.worlds.course import GOAL_DISTANCE_M, Course
 from sitl.worlds.pillars import fill_with_pillars
 from sitl.worlds.primitives import World
 from sitl.worlds.surfaces import boxes, cylinders, ground, together
@@ -96,8 +96,12 @@ def pillars(rng: Generator, course: Course, gap_m: float) -> World:
 
 
 def square_around(course: Course) -> tuple[FloatArray, FloatArray]:
-    """Return the corners (2,) of the square round the start in which obstacles of open country stand."""
-    reach = float(np.hypot(*(course.waypoints_world - course.spawn_world).T).max()) + FIELD_MARGIN_M
+    """Return the corners (2,) of the square round the start in which obstacles of open country stand.
+
+    It reaches 10 m beyond the farthest waypoint, and beyond the usual distance of a goal in any case.
+    """
+    farthest = float(np.hypot(*(course.waypoints_world - course.spawn_world).T).max())
+    reach = max(farthest, GOAL_DISTANCE_M) + FIELD_MARGIN_M
     return course.spawn_world - reach, course.spawn_world + reach
 
 

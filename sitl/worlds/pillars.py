@@ -59,17 +59,23 @@ class PillarFieldSettings(Settings):
         return self
 
 
-def pillar_field(rng: Generator, settings: PillarFieldSettings) -> World:
+def pillar_field(rng: Generator, settings: PillarFieldSettings, also_free: Iterable[FreeDisc] = ()) -> World:
     """Return the ground (index 0) and as many pillars as random placement finds room for.
 
     Candidates are drawn uniformly and kept if they respect every gap and free disc (Poisson-disk
     sampling by dart throwing with individual radii). Equal generators give equal worlds.
+
+    Args:
+        rng: source of chance.
+        settings: of the field.
+        also_free: more discs into which no pillar may reach.
     """
     low = np.array(settings.centre_world_m) - 0.5 * np.array(settings.size_m)
     high = np.array(settings.centre_world_m) + 0.5 * np.array(settings.size_m)
     free = [(*settings.spawn_world_m, settings.spawn_clear_m)]
     if settings.goal_world_m is not None:
         free.append((*settings.goal_world_m, settings.goal_clear_m))
+    free += also_free
     pillars = fill_with_pillars(
         rng,
         low,
