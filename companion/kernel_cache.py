@@ -4,7 +4,7 @@ import contextlib
 import hashlib
 import importlib
 import pkgutil
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import companion
@@ -19,18 +19,23 @@ def kernel_modules() -> list[str]:
     return sorted(module.name for module in found if module.name.endswith("kernels"))
 
 
-def forget_stale_kernels(root: Path) -> bool:
+def forget_stale_kernels(root: Path, other_sources: Sequence[Path] = ()) -> bool:
     """Delete compiled kernels below a folder if any kernel's source has changed since they were made.
 
     Numba looks at the file of the kernel itself only; a function of another file that was compiled into it
     may have changed as well.
 
+    Args:
+        root: the folder.
+        other_sources: files elsewhere from which something is compiled into its kernels.
+
     Returns:
         Whether anything had changed.
     """
     digest = hashlib.sha256()
-    for source in sorted(root.rglob("*kernels.py")):
-        digest.update(source.relative_to(root).as_posix().encode())
+    for source in [*sorted(root.rglob("*kernels.py")), *sorted(other_sources)]:
+        name = source.relative_to(root).as_posix() if source.is_relative_to(root) else source.name
+        digest.update(name.encode())
         digest.update(source.read_bytes())
     stamp = root / "__pycache__" / _STAMP
     # Where nothing can be written, as in a system-wide installation, Numba keeps its files elsewhere.

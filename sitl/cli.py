@@ -12,7 +12,9 @@ from companion import __version__
 from companion.command_line import AsJson, Result, conclude, run
 from companion.exit_codes import ExitCode
 from sitl.bench_cli import app as bench_app
+from sitl.campaign_cli import campaign
 from sitl.odometry_peer_cli import odometry_peer
+from sitl.world_cli import world
 
 if TYPE_CHECKING:
     from sitl.outcome import Ending, Outcome
@@ -32,8 +34,12 @@ app = typer.Typer(
 
 app.add_typer(bench_app, name="bench")
 app.command(
+    epilog="Example: sitl campaign field_configs/campaign_comparison.yaml --trials 100 --worlds pillars_5m"
+)(campaign)
+app.command(
     "odometry-peer", epilog="Example: sitl odometry-peer field_configs/sitl_uav_leader_external.yaml"
 )(odometry_peer)
+app.command(epilog="Example: sitl world pillars_5m --seed 7 --out world.html")(world)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

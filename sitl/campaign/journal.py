@@ -45,7 +45,7 @@ class Journal:
         self._descriptor = descriptor
         self._records = records
 
-    def __contains__(self, key: Key) -> bool:
+    def __contains__(self, key: object) -> bool:
         return key in self._records
 
     def __getitem__(self, key: Key) -> TrialRecord:
