@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from companion import __version__
+from companion import __version__, metrics_cli
 from companion.command_line import AsJson, Result, conclude, run
 from companion.exit_codes import ExitCode
 
@@ -267,6 +267,9 @@ def trajectory(
         return {"tum": str(tum), "poses": len(path), "length_m": path.length_m}, ExitCode.OK
 
     conclude(body, json_output)
+
+
+app.command(epilog=metrics_cli.EPILOG)(metrics_cli.metrics)
 
 
 @app.command(epilog="Example: companion schema > field_configs/profile.schema.json")

@@ -63,6 +63,7 @@ def run_flight(profile: Profile, environ: Mapping[str, str], log_directory: Path
             configuration=profile_text(profile),
             git_commit=source_commit(Path(__file__).parents[1]),
             calendar_ns=clock.calendar_ns(),
+            host_ns=clock.now_ns(),
         )
         path = log_path(folder, profile.vehicle.name, metadata.calendar_ns)
         log = FlightLog(path, profile.log, metadata, threaded=True, clock=clock)

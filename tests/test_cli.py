@@ -28,6 +28,7 @@ COMMANDS = (
     "recover",
     "replay",
     "trajectory",
+    "metrics",
     "schema",
     "engage",
     "status",

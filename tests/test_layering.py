@@ -38,6 +38,7 @@ FLOORS: tuple[frozenset[str], ...] = (
             "exchange",
             "flight",
             "kernel_cache",
+            "metrics_cli",
             "perception_thread",
             "preflight",
             "recordings",

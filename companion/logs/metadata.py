@@ -32,6 +32,8 @@ class FlightMetadata:
         git_commit: commit of the software, empty if unknown.
         calendar_ns: time of day at the start as Unix nanoseconds, 0 if it must not be recorded
             (lockstep runs with one seed write identical bytes).
+        host_ns: host time at that moment, so that logs of several computers can be laid side by side; 0 if
+            it is not recorded.
         versions: names and versions of the software.
     """
 
@@ -42,6 +44,7 @@ class FlightMetadata:
     seed: int | None = None
     git_commit: str = ""
     calendar_ns: int = 0
+    host_ns: int = 0
     versions: Mapping[str, str] = field(default_factory=lambda: software_versions())
 
     def table(self) -> dict[str, str]:
@@ -49,6 +52,7 @@ class FlightMetadata:
         known = {
             "calendar_ns": str(self.calendar_ns) if self.calendar_ns else "",
             "git_commit": self.git_commit,
+            "host_ns": str(self.host_ns) if self.host_ns else "",
             "mode": self.mode,
             "role": self.role,
             "seed": "" if self.seed is None else str(self.seed),
