@@ -2,6 +2,7 @@ import math
 
 import numpy as np
 import pytest
+from numpy.random import Generator
 from pydantic import ValidationError
 
 from companion.messages import FloatArray
@@ -62,6 +63,51 @@ def test_equal_generators_give_equal_fields_and_others_differ() -> None:
     np.testing.assert_array_equal(first.rows, again.rows)
     np.testing.assert_array_equal(first.reflectivity, again.reflectivity)
     assert first.rows.shape != other.rows.shape or not np.array_equal(first.rows, other.rows)
+
+
+def placed_one_by_one(rng: Generator, settings: PillarFieldSettings) -> FloatArray:
+    """The same rule drawn number by number: (n, 3) x, y and radius in order."""
+    low = np.array(settings.centre_world_m) - 0.5 * np.array(settings.size_m)
+    high = np.array(settings.centre_world_m) + 0.5 * np.array(settings.size_m)
+    kept = [(*settings.spawn_world_m, settings.spawn_clear_m)]
+    if settings.goal_world_m is not None:
+        kept.append((*settings.goal_world_m, settings.goal_clear_m))
+    pillars, failures = [], 0
+    while failures < settings.failures_until_full:
+        radius = rng.uniform(settings.radius_min_m, settings.radius_max_m)
+        x, y = rng.uniform(low + radius, high - radius)
+        others = np.array(kept)
+        if np.any(np.hypot(others[:, 0] - x, others[:, 1] - y) < others[:, 2] + radius):
+            failures += 1
+            continue
+        failures = 0
+        pillars.append((x, y, radius))
+        kept.append((x, y, radius + settings.min_gap_m))
+    return np.array(pillars)
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        SETTINGS.model_copy(update={"failures_until_full": 300}),
+        PillarFieldSettings(
+            min_gap_m=10.0, centre_world_m=(7.0, -3.0), height_m=4.7, failures_until_full=200
+        ),
+        PillarFieldSettings(min_gap_m=0.5, size_m=(30.0, 22.0), failures_until_full=50),
+    ],
+    ids=["5 m", "10 m", "0.5 m"],
+)
+def test_a_field_is_bit_for_bit_the_one_that_slow_placing_gives(settings: PillarFieldSettings) -> None:
+    for seed in range(2):
+        fast, slow = np.random.default_rng(seed), np.random.default_rng(seed)
+        world = pillar_field(fast, settings)
+        expected = placed_one_by_one(slow, settings)
+        assert len(expected) > 5
+        np.testing.assert_array_equal(world.rows[1:, [0, 1, 7]], expected)
+        np.testing.assert_array_equal(world.discs[1:], expected)
+        shades = slow.uniform(settings.reflectivity_min, settings.reflectivity_max, len(expected))
+        np.testing.assert_array_equal(world.reflectivity[1:], shades)
+        assert fast.random() == slow.random()
 
 
 @pytest.mark.parametrize(
