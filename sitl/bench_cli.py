@@ -2,7 +2,7 @@
 
 import os
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -10,11 +10,15 @@ import typer
 
 from companion.command_line import AsJson, Result, conclude
 from companion.exit_codes import ExitCode
+from sitl.bench.terminal import Progress, Table, names
+from sitl.bench.tracking_cli import tracking
 
 if TYPE_CHECKING:
     from sitl.bench.comparison import Result as ComparisonResult
 
 app = typer.Typer(help="Measure what this product promises.", no_args_is_help=True, rich_markup_mode=None)
+
+app.command(epilog="Example: sitl bench tracking --scenes weave,crowd --seeds 3 --seconds 60")(tracking)
 
 _DEMO = Path("field_configs/sitl_leader_pillars.yaml")
 
@@ -75,8 +79,8 @@ def odometry(
     from sitl.bench.comparison import SYSTEMS
     from sitl.bench.courses import COURSES
 
-    wanted_worlds = _names(worlds, tuple(COURSES), "world")
-    wanted_systems = _names(systems, SYSTEMS, "system")
+    wanted_worlds = names(worlds, tuple(COURSES), "world")
+    wanted_systems = names(systems, SYSTEMS, "system")
 
     def body() -> tuple[Result, ExitCode]:
         from companion.config import load_profile
@@ -89,7 +93,7 @@ def odometry(
         out.mkdir(parents=True, exist_ok=True)
         _keep_output_for_us()
         load_kernels()
-        table, progress = _Table(), _Progress()
+        table, progress = Table(), Progress()
         done: list[ComparisonResult] = []
 
         def show(result: "ComparisonResult") -> None:
@@ -134,14 +138,14 @@ def consistency(
     """
     from sitl.bench.courses import COURSES
 
-    wanted = _names(worlds, tuple(COURSES), "world")
+    wanted = names(worlds, tuple(COURSES), "world")
 
     def body() -> tuple[Result, ExitCode]:
         from companion.kernel_cache import load_kernels
         from sitl.bench.consistency import Row, as_dict, measure
 
         load_kernels()
-        table, progress = _Table(), _Progress()
+        table, progress = Table(), Progress()
 
         def on_run(world: str, count: int, row: Row) -> None:
             shown = f"position {row.position_nees:.2f}, attitude {row.attitude_nees:.2f}"
@@ -157,74 +161,6 @@ def consistency(
         finally:
             progress.clear()
         return {"rows": rows}, ExitCode.OK if rows[-1]["consistent"] else ExitCode.NO_GO
-
-    conclude(body, json_output)
-
-
-@app.command(epilog="Example: sitl bench tracking --scenes weave,crowd --seeds 3 --seconds 60")
-def tracking(
-    scenes: Annotated[
-        str, typer.Option(help="Scenes, separated by commas: ring, hover, pass, crowd, weave, aggressive.")
-    ] = "all",
-    seeds: Annotated[int, typer.Option(min=1, max=1000, help="Flights of each case.")] = 1,
-    first_seed: Annotated[int, typer.Option(min=0, help="Of world, flight and noise.")] = 1001,
-    seconds: Annotated[float, typer.Option(min=8.0, max=3600.0, help="Duration of a flight.")] = 30.0,
-    tape: Annotated[
-        bool | None, typer.Option("--tape/--no-tape", help="Only cases with, or without.")
-    ] = None,
-    distractors: Annotated[
-        bool | None, typer.Option("--distractors/--no-distractors", help="Only cases with, or without.")
-    ] = None,
-    literal: Annotated[bool, typer.Option("--literal", help="The published method as it stands.")] = False,
-    out: Annotated[Path, typer.Option(help="Folder for tracking.json, .md and .html.")] = Path("runs/bench"),
-    json_output: AsJson = False,
-) -> None:
-    """How well neighbours are seen, with our own odometry in the loop: by range, number, tape, distractors.
-
-    Detection rate: of the scans in which a neighbour could be seen, those with a validated track within
-    0.5 m. Precision: of the validated tracks, those within 0.5 m of a neighbour. Latency is processor time.
-    """
-    from sitl.bench.swarm_scenes import SCENES
-    from sitl.bench.tracking import CASES
-
-    wanted = _names(scenes, tuple(SCENES), "scene")
-    cases = [
-        case
-        for case in CASES
-        if case.scene in wanted and tape in (None, case.tape) and distractors in (None, case.distractors)
-    ]
-    if not cases:
-        raise typer.BadParameter("no case is left")
-
-    def body() -> tuple[Result, ExitCode]:
-        from companion.kernel_cache import load_kernels
-        from companion.perception.tracking.settings import TrackingSettings
-        from sitl.bench.tracking import measure
-        from sitl.bench.tracking_page import shown, write
-        from sitl.bench.tracking_score import Row
-
-        out.mkdir(parents=True, exist_ok=True)
-        load_kernels()
-        table, progress = _Table(), _Progress()
-        done: list[Row] = []
-
-        def show(rows: list[Row]) -> None:
-            progress.clear()
-            done.extend(rows)
-            if not json_output:
-                for row in rows:
-                    table.show({name: cell.rjust(7) for name, cell in shown(row).items()})
-
-        settings = TrackingSettings.literal() if literal else None
-        numbers = range(first_seed, first_seed + seeds)
-        try:
-            measure(cases, numbers, seconds, show, progress.show, settings)
-        finally:
-            progress.clear()
-            files = [str(file) for file in write(out, done)] if done else []
-        if not json_output:
-            print("written: " + ", ".join(files))
-        return {"rows": [row.as_dict() for row in done], "files": files}, ExitCode.OK
 
     conclude(body, json_output)
 
@@ -248,7 +184,7 @@ def failures(
         from sitl.bench.failures import measure_clean, measure_failures, passes
 
         load_kernels()
-        table, progress = _Table(), _Progress()
+        table, progress = Table(), Progress()
         try:
             rows = measure_failures(runs, seed, seconds, progress.show)
             if not json_output:
@@ -281,23 +217,11 @@ def flights(
         from sitl.bench.flights import measure
 
         out.mkdir(parents=True, exist_ok=True)
-        shown = (lambda row: None) if json_output else _Table().show
+        shown = (lambda row: None) if json_output else Table().show
         rows = measure(scenario, seeds, out, wire=wire, on_row=shown)
         return {"rows": rows}, ExitCode.OK if rows[-1]["success"] else ExitCode.NO_GO
 
     conclude(body, json_output)
-
-
-def _names(text: str, known: Sequence[str], what: str) -> list[str]:
-    """Return the names in a list separated by commas; "all" stands for every one."""
-    if text == "all":
-        return list(known)
-    # The packages write some of their names with a hyphen.
-    names = list(dict.fromkeys(name.strip().replace("-", "_") for name in text.split(",")))
-    for name in names:
-        if name not in known:
-            raise typer.BadParameter(f"there is no {what} {name!r}; there are {', '.join(known)}")
-    return names
 
 
 def _keep_output_for_us() -> None:
@@ -311,51 +235,9 @@ def _keep_output_for_us() -> None:
     sys.stdout = os.fdopen(ours, "w", encoding=sys.stdout.encoding, errors=sys.stdout.errors, buffering=1)
 
 
-class _Progress:
-    """One line on a terminal; elsewhere a line a minute of flight."""
-
-    def __init__(self) -> None:
-        self._width = 0
-        self._count = 0
-
-    def show(self, text: str) -> None:
-        """Show the newest text."""
-        self._count += 1
-        if sys.stderr.isatty():
-            print(f"\r{text.ljust(self._width)}", end="", file=sys.stderr, flush=True)
-            self._width = len(text)
-        elif self._count % 60 == 0:
-            print(text, file=sys.stderr, flush=True)
-
-    def clear(self) -> None:
-        """Leave a clean line for what follows."""
-        if self._width:
-            print(f"\r{' ' * self._width}\r", end="", file=sys.stderr, flush=True)
-            self._width = 0
-
-
-class _Table:
-    """Prints rows as they come, under one heading; columns are as wide as the first row needs."""
-
-    def __init__(self) -> None:
-        self._widths: list[int] = []
-
-    def show(self, row: Mapping[str, object]) -> None:
-        """Print one row."""
-        if not self._widths:
-            self._widths = [max(len(name), len(_cell(value))) for name, value in row.items()]
-            print("  ".join(name.rjust(width) for name, width in zip(row, self._widths, strict=True)))
-        cells = zip(row.values(), self._widths, strict=True)
-        print("  ".join(_cell(value).rjust(width) for value, width in cells), flush=True)
-
-
 def _shown(rows: Sequence[dict[str, object]], json_output: bool) -> Result:
-    table = _Table()
+    table = Table()
     if not json_output:
         for row in rows:
             table.show(row)
     return {"rows": list(rows)}
-
-
-def _cell(value: object) -> str:
-    return f"{value:.3g}" if isinstance(value, float) else "-" if value is None else str(value)

@@ -37,7 +37,9 @@ _STEPS_PER_SCAN = SCAN_NS // dynamics.STEP_NS
 _USUAL_BODY = UavBodySettings()
 _USUAL_CHIP = ImuSettings()
 _USUAL_VEHICLE = QuadrotorSettings()
-_LIGHT_WIND = WindSettings(gust_mps=0.3, vertical_gust_mps=0.1)
+LIGHT_WIND = WindSettings(gust_mps=0.3, vertical_gust_mps=0.1)
+"""What blows unless a scene says otherwise."""
+
 _CHECKED_STEPS = (0, _STEPS_PER_SCAN // 2, _STEPS_PER_SCAN - 1)
 
 
@@ -65,7 +67,7 @@ class SwarmScene:
     yaw_rate: float = 0.2
     yaw_sway: float = 0.3
     body: UavBodySettings = _USUAL_BODY
-    wind: WindSettings = _LIGHT_WIND
+    wind: WindSettings = LIGHT_WIND
     imu: ImuSettings = _USUAL_CHIP
     vehicle: QuadrotorSettings = _USUAL_VEHICLE
 

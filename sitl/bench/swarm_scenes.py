@@ -9,6 +9,7 @@ from pydantic import Field
 
 from companion.settings import Settings
 from sitl.bench import courses
+from sitl.bench.swarm_flights import LIGHT_WIND
 from sitl.bench.swarm_flights import PLAN_START_S as PLAN_START_S
 from sitl.bench.swarm_flights import SwarmScene as SwarmScene
 from sitl.bench.swarm_flights import SwarmStep as SwarmStep
@@ -27,6 +28,7 @@ _HEIGHT_M = 1.6
 _ROOM_BETWEEN_M = 1.1
 _PASSING_MPS = 2.0
 _PLANNED_S = 120.0
+_FRESH_WIND = WindSettings(mean_world_mps=(2.0, 1.0, 0.0), gust_mps=0.8, vertical_gust_mps=0.3)
 
 
 class SwarmSettings(Settings):
@@ -40,6 +42,8 @@ class SwarmSettings(Settings):
     """Signs, vests and tape on poles and pillars that stand about; none by default."""
     body: UavBodySettings = UavBodySettings()
     """How every vehicle looks; its tape can be taken off here."""
+    wind: WindSettings | None = None
+    """What blows on every vehicle instead of the scene's own weather."""
 
 
 def _ring(rng: Generator, settings: SwarmSettings) -> SwarmScene:
@@ -88,7 +92,7 @@ def _aggressive(rng: Generator, settings: SwarmSettings) -> SwarmScene:
     return replace(
         _staged(rng, settings, course.world, plan),
         yaw_rate=course.yaw_rate, yaw_sway=course.yaw_sway, imu=course.imu, vehicle=course.vehicle,
-        wind=WindSettings(mean_world_mps=(2.0, 1.0, 0.0), gust_mps=0.8, vertical_gust_mps=0.3),
+        wind=settings.wind or _FRESH_WIND,
     )  # fmt: skip
 
 
@@ -101,7 +105,10 @@ def _staged(rng: Generator, settings: SwarmSettings, world: World, plan: Plan) -
         if settings.distractors
         else no_distractors()
     )
-    return SwarmScene(world.joined(distractors.fixed), distractors, plan, settings.uavs, body=settings.body)
+    return SwarmScene(
+        world.joined(distractors.fixed), distractors, plan, settings.uavs, body=settings.body,
+        wind=settings.wind or LIGHT_WIND,
+    )  # fmt: skip
 
 
 SCENES: dict[str, Callable[[Generator, SwarmSettings], SwarmScene]] = {

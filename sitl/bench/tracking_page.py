@@ -8,7 +8,7 @@ from string import Template
 from typing import Any
 
 from companion.logs import report_style as style
-from sitl.bench.tracking_score import Row
+from sitl.bench.tracking_rows import ALL, Row
 
 RESULTS = "tracking.json"
 TABLE = "tracking.md"
@@ -46,7 +46,8 @@ p { color: #64748b; font-size: 13px; margin: 6px 0 0; }
 <body>
 <main>
 <h1>Neighbours as seen</h1>
-<section class="card">$table<p>$definitions</p></section>
+<section class="card">$table</section>
+<section class="card"><h2>What the figures mean</h2>$definitions</section>
 <section class="grid">$plots</section>
 </main>
 <script type="application/json" id="rows">$rows</script>
@@ -63,14 +64,24 @@ for (const [name, figure] of Object.entries($figures)) {
 """)
 
 DEFINITIONS = (
-    "Our odometry is in the loop. Detection rate: of the scans in which a neighbour could be seen (in the "
-    "field of view, two or more of five test rays clear, without a break for 0.5 s, own vehicle flying), the "
-    "share with a validated track within 0.5 m. Precision: of the validated tracks seen within the last "
-    "0.5 s, the share within 0.5 m of a neighbour. Errors are relative to the own pose, over all three axes; "
-    "steady: where the neighbour changed its velocity by less than 0.7 m/s^2. NEES: squared error by "
-    "covariance and degree of freedom, 1 if the covariance is true, with the 95 % bounds of that mean if "
-    "errors a second apart are independent. Velocity axes: along the line of sight, across, up. Acquired: "
-    "time from coming into sight until validated. Latency: processor time of the tracker for one scan."
+    "Our odometry is in the loop; truth only judges.",
+    "Detection rate: of the scans in which a neighbour could be seen, the share with a validated track "
+    "within 0.5 m. It could be seen if at the scan's start, middle and end its centre was in the field of "
+    "view, which tilts with the body, two or more of five test rays to it were clear, it was nearer than "
+    "12 m, the own vehicle was flying, and all that without a break for 0.5 s. At once: without that half "
+    "second.",
+    "Precision: of the validated tracks seen within the last 0.5 s, from power-on, the share within 0.5 m "
+    "of a neighbour; a second track of the same neighbour is false.",
+    "95 %: Wilson's interval, with as many independent samples as seconds of track, or fewer if failures "
+    "last longer than a second.",
+    "Errors are those of matched tracks of neighbours that count, relative to the own pose, as lengths "
+    "over all three axes; by axis: along the line of sight, across it, up. Steady: where the neighbour "
+    "changed its velocity by less than 0.7 m/s^2. Relative velocity: with the error of the own one.",
+    "NEES: squared error by covariance and degree of freedom, 1 if the covariance is true; n: independent "
+    "samples in it, as the errors' own correlation tells; with the 95 % bounds of a mean of so many.",
+    "Switches: changes of the number of a neighbour's track, also after it was out of sight, by minute of "
+    "flight of the whole swarm. Acquired: time from coming into sight until validated (median). ms: "
+    "processor time of the tracker for one scan (median).",
 )
 
 _PLOTS: tuple[tuple[str, str, Callable[[Row], float | None]], ...] = (
@@ -104,24 +115,29 @@ def write(folder: Path, rows: Sequence[Row]) -> list[Path]:
 
 def shown(row: Row) -> dict[str, str]:
     """Return a row as short text for people."""
-    switches = f"{row.id_switches_per_min:.2f}" if row.band_m == "all" else ""
+    whole = row.band_m == ALL
     return {
         "case": _case(row),
         "range m": row.band_m,
         "steps": str(row.counted),
         "detected %": _cell(row.detection_rate, 2, 100.0),
+        "detected >=": _cell(row.detection_ci95 and row.detection_ci95[0], 2, 100.0),
+        "at once": _cell(row.detection_rate_at_once, 2, 100.0),
+        "tracked": str(row.track_steps),
         "precise %": _cell(row.precision, 2, 100.0),
+        "precise >=": _cell(row.precision_ci95 and row.precision_ci95[0], 2, 100.0),
         "p cm": _cell(row.position_rmse_m, 1, 100.0),
         "v m/s": _cell(row.velocity_rmse_mps, 2),
         "steady v": _cell(row.velocity_rmse_steady_mps, 2),
         "v axes": _axes(row.velocity_rmse_axes_mps),
         "NEES p": _cell(row.position_nees, 2),
+        "p bounds (n)": _bounds(row.position_nees_bounds, row.position_nees_samples),
         "NEES v": _cell(row.velocity_nees, 2),
-        "NEES 95 %": _bounds(row.position_nees_bounds),
-        "switches/min": switches,
-        "acquired s": _cell(row.acquired_s, 1) if row.band_m == "all" else "",
-        "ms": _cell(row.latency_ms, 1) if row.band_m == "all" else "",
-        "ms p99": _cell(row.latency_p99_ms, 1) if row.band_m == "all" else "",
+        "v bounds (n)": _bounds(row.velocity_nees_bounds, row.velocity_nees_samples),
+        "switches/min": f"{row.id_switches_per_min:.2f}" if whole else "",
+        "acquired s": _cell(row.acquired_s, 1) if whole else "",
+        "ms": _cell(row.latency_ms, 1) if whole else "",
+        "ms p99": _cell(row.latency_p99_ms, 1) if whole else "",
     }
 
 
@@ -148,7 +164,7 @@ def page(rows: Sequence[Row], plotly: str) -> str:
     )
     return _PAGE.substitute(
         table=_table(rows),
-        definitions=html.escape(DEFINITIONS),
+        definitions="".join(f"<p>{html.escape(line)}</p>" for line in DEFINITIONS),
         plots="".join(boxes),
         rows=_script_json([row.as_dict() for row in rows]),
         figures=_script_json(figures),
@@ -157,8 +173,9 @@ def page(rows: Sequence[Row], plotly: str) -> str:
 
 
 def _case(row: Row) -> str:
-    extras = [f"{row.neighbours} neighbours"]
+    extras = [f"{row.neighbours} neighbour{'s' * (row.neighbours != 1)}"]
     extras += ["distractors"] if row.distractors else []
+    extras += ["wind"] if row.windy else []
     extras += [] if row.tape else ["no tape"]
     return f"{row.scene}, {', '.join(extras)}"
 
@@ -171,8 +188,8 @@ def _axes(values: tuple[float, ...] | None) -> str:
     return "-" if values is None else " ".join(f"{value:.2f}" for value in values)
 
 
-def _bounds(values: tuple[float, float] | None) -> str:
-    return "-" if values is None else f"{values[0]:.2f}-{values[1]:.2f}"
+def _bounds(values: tuple[float, float] | None, samples: int) -> str:
+    return "-" if values is None else f"{values[0]:.2f}-{values[1]:.2f} ({samples})"
 
 
 def _table(rows: Sequence[Row]) -> str:

@@ -5,13 +5,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from typer.testing import CliRunner
 
 from companion.geometry import rotation
 from companion.messages import FloatArray, NeighbourTrack, NeighbourTracks
+from sitl.bench.swarm_scenes import SCENES
 from sitl.bench.swarm_truth import MapFrame, NeighbourSights
+from sitl.bench.tracking import CASES, HARD_WIND, Case, measure
 from sitl.bench.tracking_page import markdown, page
-from sitl.bench.tracking_score import Row, Score
+from sitl.bench.tracking_rows import Row, rate_interval, rows, wilson
+from sitl.bench.tracking_score import SIGHT, FlightScore, Score
 from sitl.cli import app
 from sitl.kinematics import Kinematics
 from tests.perception.tracking.bodies import odometry
@@ -49,20 +53,30 @@ def track(track_id: int, p_map: FloatArray, seen: int, *, validated: bool = True
     )
 
 
-def score(
+def scored(
     tracks_of: Callable[[int, FloatArray], list[NeighbourTrack]],
     scans: int = 30,
     p_world: FloatArray = FIVE_METRES,
     visible: Callable[[int], bool] = lambda k: True,
-) -> Row:
+) -> FlightScore:
     """Score scans in which `tracks_of` gives the tracks for the neighbours' true positions in the map."""
     result = Score(0)
     p_true = FRAME.positions(p_world)
     for k in range(1, scans + 1):
         own = odometry(k * SCAN_NS, p_map=np.zeros(3))
         tracks = NeighbourTracks(k * SCAN_NS, k, tuple(tracks_of(k, p_true)))
-        result.add(tracks, own, sights(k, p_world, visible(k)), truth(), FRAME, 2.0)
-    return result.rows("made up", len(p_world), tape=True, distractors=False)[0]
+        result.add(tracks, own, sights(k, p_world, visible(k)), truth(), FRAME, (2.0, 5.0))
+    return result.result()
+
+
+def score(
+    tracks_of: Callable[[int, FloatArray], list[NeighbourTrack]],
+    scans: int = 30,
+    p_world: FloatArray = FIVE_METRES,
+    visible: Callable[[int], bool] = lambda k: True,
+) -> Row:
+    """Return the figures of such scans, all ranges together."""
+    return rows(scored(tracks_of, scans, p_world, visible), "made up", len(p_world))[0]
 
 
 def test_truth_is_turned_into_the_map_and_errors_are_lengths() -> None:
@@ -75,7 +89,9 @@ def test_truth_is_turned_into_the_map_and_errors_are_lengths() -> None:
     assert row.range_m == pytest.approx(np.sqrt(17.0))
     assert row.position_rmse_axes_m is not None
     assert np.linalg.norm(row.position_rmse_axes_m) == pytest.approx(0.1)
-    assert row.position_nees_bounds == pytest.approx((1.237 / 6.0, 14.449 / 6.0), rel=1e-3)
+    # The error is always the same: all thirty steps tell no more than one would.
+    assert row.position_nees_samples == 0
+    assert row.position_nees_bounds is None
 
 
 def test_an_error_of_the_own_pose_is_not_the_trackers() -> None:
@@ -85,10 +101,8 @@ def test_an_error_of_the_own_pose_is_not_the_trackers() -> None:
     for k in range(1, 8):
         own = replace(drifted, t_ns=k * SCAN_NS)
         tracks = NeighbourTracks(own.t_ns, k, (track(1, p_map, k),))
-        result.add(tracks, own, sights(k, FIVE_METRES), truth(), FRAME, 1.0)
-    assert result.rows("x", 1, tape=True, distractors=False)[0].position_rmse_m == pytest.approx(
-        0.0, abs=1e-9
-    )
+        result.add(tracks, own, sights(k, FIVE_METRES), truth(), FRAME, (1.0, 1.0))
+    assert rows(result.result(), "x", 1)[0].position_rmse_m == pytest.approx(0.0, abs=1e-9)
 
 
 def test_candidates_detect_nothing_and_false_tracks_cost_precision() -> None:
@@ -96,6 +110,14 @@ def test_candidates_detect_nothing_and_false_tracks_cost_precision() -> None:
     row = score(lambda k, p: [track(1, p[0], k), track(2, p[0] + [0.0, 0.6, 0.0], k)])
     assert row.detection_rate == 1.0
     assert row.precision == 0.5
+
+
+def test_a_second_track_of_one_neighbour_is_false() -> None:
+    row = score(lambda k, p: [track(1, p[0], k), track(2, p[0] + [0.0, 0.3, 0.0], k)])
+    assert row.precision == 0.5
+    assert row.false_tracks == 1
+    assert row.false_steps == 30
+    assert row.missed == 0
 
 
 def test_a_last_seen_slot_counts_neither_way() -> None:
@@ -124,24 +146,123 @@ def test_a_new_number_is_a_switch_and_another_neighbour_is_not() -> None:
     assert swapped.id_switches_per_min == pytest.approx(2 / (2.9 / 60.0))
 
 
+def test_switches_are_counted_by_minute_of_the_swarm_and_by_neighbour() -> None:
+    two = np.array([[5.0, 0.0, 1.0], [5.0, 3.0, 1.0]])
+    row = score(lambda k, p: [track(1 + 10 * (k > 9), p[0], k), track(2, p[1], k)], p_world=two)
+    assert row.id_switches == 1
+    assert row.minutes == pytest.approx(2.9 / 60.0)
+    assert row.id_switches_per_min == pytest.approx(60.0 / 2.9)
+    assert row.id_switches_per_uav_min == pytest.approx(60.0 / 2.9 / 2.0)
+
+
+def test_the_velocity_as_seen_from_the_own_vehicle_has_its_error_too() -> None:
+    result = Score(0)
+    for k in range(1, 8):
+        own = odometry(k * SCAN_NS, p_map=np.zeros(3), v_map=np.array([0.0, 0.4, 0.0]))
+        tracks = NeighbourTracks(own.t_ns, k, (track(1, FRAME.positions(FIVE_METRES)[0], k),))
+        result.add(tracks, own, sights(k, FIVE_METRES), truth(), FRAME, (1.0, 1.0))
+    row = rows(result.result(), "x", 1)[0]
+    assert row.velocity_rmse_mps == pytest.approx(0.3)
+    assert row.relative_velocity_rmse_mps == pytest.approx(0.5)
+
+
+def test_the_first_half_second_counts_in_the_rate_at_once() -> None:
+    row = score(lambda k, p: [track(1, p[0], k)] if k > 3 else [])
+    assert row.detection_rate == 1.0
+    assert row.detection_rate_at_once == pytest.approx(27 / 30)
+
+
+def test_flights_are_told_apart_when_they_are_joined() -> None:
+    found = [scored(lambda k, p: [track(1, p[0], k)] if k < 20 else []) for _ in range(3)]
+    row = rows(FlightScore.joined(found), "x", 1)[0]
+    assert row.flights == 3
+    assert row.missed == 33
+    assert row.minutes == pytest.approx(3 * 2.9 / 60.0)
+    # Three failures of eleven steps each, of 75 steps.
+    lower, upper = wilson(42 / 75, 75 / 11.0)
+    assert row.detection_ci95 == pytest.approx((lower, upper))
+
+
+def test_the_interval_of_a_rate_is_wilsons_by_the_second() -> None:
+    assert wilson(0.5, 10.0) == pytest.approx((0.2366, 0.7634), abs=1e-4)
+    steps = np.zeros(1000, SIGHT)
+    steps["matched"] = True
+    assert rate_interval(steps, "neighbour", "matched") == pytest.approx(wilson(1.0, 100.0))
+    assert rate_interval(steps[:0], "neighbour", "matched") is None
+
+
+def test_correlated_errors_are_fewer_samples() -> None:
+    rng = np.random.default_rng(1)
+    independent = rng.normal(0.0, 0.1, (400, 3))
+    lasting = np.repeat(rng.normal(0.0, 0.1, (80, 3)), 5, axis=0)
+    found = [
+        score(lambda k, p, e=errors: [track(1, p[0] + e[k - 1], k)], scans=400)  # type: ignore[misc]
+        for errors in (independent, lasting)
+    ]
+    samples = [row.position_nees_samples for row in found]
+    assert 350 < samples[0] <= 396
+    # The squared correlation of errors that last five steps adds up to 1 + 2 (0.64 + 0.36 + 0.16 + 0.04).
+    assert samples[1] == pytest.approx(396 / 3.4, rel=0.2)
+    bounds = found[1].position_nees_bounds
+    assert bounds is not None
+    assert bounds[0] == pytest.approx(1.0 - 1.96 * np.sqrt(2.0 / (3.0 * samples[1])), abs=0.02)
+
+
 def test_acquisition_is_measured_from_coming_into_sight() -> None:
     row = score(lambda k, p: [track(1, p[0], k)] if k >= 14 else [], visible=lambda k: k >= 10)
     assert row.acquired_s == pytest.approx(0.4)
 
 
 def test_the_table_and_the_page_show_every_row() -> None:
-    rows = [score(lambda k, p: [track(1, p[0], k)])]
-    assert len(markdown(rows).splitlines()) == 3
-    text = page(rows, "/* plotly */")
-    assert "made up, 1 neighbours" in text
+    found = rows(scored(lambda k, p: [track(1, p[0], k)]), "made <up>", 1, windy=True)
+    assert len(markdown(found).splitlines()) == 2 + len(found)
+    text = page(found, "/* plotly */")
+    assert "made &lt;up&gt;, 1 neighbour, wind" in text
     assert "$" not in text.split("<script>")[0]
 
 
+NAMED = {
+    "range_m", "neighbours", "distractors", "detection_rate", "precision", "position_rmse_m",
+    "velocity_rmse_mps", "id_switches_per_min", "latency_ms",
+}  # fmt: skip
+
+
+def test_the_default_cases_cover_what_is_promised() -> None:
+    bands = {int(case.range_m // 2) for case in CASES if case.scene in ("ring", "pass", "hover")}
+    assert bands >= {0, 1, 2, 3, 4, 5}
+    assert {case.neighbours for case in CASES} >= {1, 2, 4, 6, 10}
+    for field in ("tape", "distractors", "windy"):
+        assert {getattr(case, field) for case in CASES} == {True, False}
+    assert {case.scene for case in CASES} == set(SCENES)
+
+
+def test_wind_blows_in_windy_cases_only() -> None:
+    for case in (*(case for case in CASES if case.windy), Case("ring", 4), Case("aggressive", 1)):
+        assert (case.build(1).wind == HARD_WIND) == case.windy
+
+
+def test_equal_flights_give_equal_scores_in_whichever_process() -> None:
+    cases = [Case("hover", 1, 3.0), Case("hover", 2, 2.0)]
+    runs: list[list[FlightScore]] = []
+    for processes in (1, 2):
+        found: list[FlightScore] = []
+        measure(cases, [4], 3.0, lambda case, flown, to=found: to.append(flown), processes=processes)  # type: ignore[misc]
+        runs.append(found)
+    for alone, together in zip(*runs, strict=True):
+        assert len(alone.steps) > 0
+        assert alone.sights.tobytes() == together.sights.tobytes()
+        assert alone.steps.tobytes() == together.steps.tobytes()
+        assert alone.switches == together.switches
+
+
 def test_the_command_flies_a_scene_and_writes_what_it_found(tmp_path: Path) -> None:
-    options = ["--scenes", "hover", "--seconds", "9", "--out", str(tmp_path), "--json"]
+    fit = tmp_path / "fit" / "perception.yaml"
+    options = ["--scenes", "hover", "--seconds", "9", "--processes", "1", "--json"]
+    options += ["--out", str(tmp_path / "out"), "--fit", str(fit)]
     result = CliRunner().invoke(app, ["bench", "tracking", *options])
     assert result.exit_code == 0
     report = json.loads(result.stdout.strip().splitlines()[-1])
+    assert all(set(row) >= NAMED for row in report["rows"])
     everything = report["rows"][0]
     assert everything["distractors"] is True
     assert everything["neighbours"] == 4
@@ -149,11 +270,16 @@ def test_the_command_flies_a_scene_and_writes_what_it_found(tmp_path: Path) -> N
     assert everything["detection_rate"] > 0.9
     assert everything["precision"] > 0.9
     assert everything["position_rmse_m"] < 0.1
-    assert sorted(path.name for path in tmp_path.iterdir()) == [
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [
         "tracking.html",
         "tracking.json",
         "tracking.md",
     ]
+    model = yaml.safe_load(fit.read_text("utf-8"))
+    assert model == report["perception"]
+    assert 0.0 < model["position_sigma_m"] < 0.05
+    assert 0.0 < model["velocity_sigma_mps"] < 0.3
+    assert 0.0 < model["latency_s"] < 1.0
 
 
 def test_a_scene_that_does_not_exist_is_refused_with_those_that_do() -> None:
