@@ -9,13 +9,12 @@ import numpy as np
 from numpy.random import Generator, SeedSequence
 
 from companion.messages import FloatArray
-from sitl.worlds.settings import WorldSettings
-from sitl.swarm.leader_plan import LeaderPlan, plan_leader
+from sitl.swarm.leader_plan import plan_leader
 from sitl.swarm.settings import SwarmSettings
 from sitl.swarm.spawn import spawn
-from sitl.worlds.pillars import pillar_field
 from sitl.worlds.primitives import World
-from sitl.worlds.sites import FLOWN_SITES, build_site
+from sitl.worlds.settings import WorldSettings, site_of, told_way
+from sitl.worlds.sites import FLOWN_SITES, SITE_NAMES, build_site
 
 _ROOM_M = 1.2
 _SEARCH_M = 4.0
@@ -67,22 +66,30 @@ def set_scene(
     Raises:
         ValueError: if there is no such site, a way is given for one that has its own, or the start is not
             free.
+        ProfileError: if a file of the world is missing or wrong.
     """
-    name = world if isinstance(world, str) else getattr(world, "site", None)
-    spawn_world = np.zeros(2)
-    if name in FLOWN_SITES:
+    if isinstance(world, str):
+        world = _site_settings(world)
+    spawn_world, told = told_way(world, folder)
+    if world.site in FLOWN_SITES:
         if settings.waypoints_m is not None:
-            raise ValueError(f"the site {name} has a way of its own: take waypoints_m away")
-        site = build_site(name, _generator(seed, "world"), followers=settings.followers)
+            raise ValueError(f"the site {world.site} has a way of its own: take waypoints_m away")
+        site = build_site(world.site, _generator(seed, "world"), followers=settings.followers)
         built, spawn_world = site.world, site.spawn_world
         plan = plan_leader(
             settings.leader, spawn_world, site.waypoints_world, _generator(seed, "leader"), own_way=True
         )
     else:
-        plan = plan_leader(
-            settings.leader, spawn_world, _way(settings, _generator(seed, "way")), _generator(seed, "leader")
-        )
-        built = _open_world(world, name, settings, plan, _generator(seed, "world"), folder)
+        way = _way(settings, spawn_world, told, _generator(seed, "way"))
+        plan = plan_leader(settings.leader, spawn_world, way, _generator(seed, "leader"))
+        built = site_of(
+            world,
+            _generator(seed, "world"),
+            folder=folder,
+            followers=settings.followers,
+            spawn_world=spawn_world,
+            goal_world=plan.waypoints_world,
+        ).world
     starts, yaws = spawn(settings, built, spawn_world, _generator(seed, "spawn"))
     waypoints = _freed(built, plan.waypoints_world, float(starts[0, 2]))
     low, high = settings.leader.speed_mps
@@ -108,27 +115,22 @@ def _generator(seed: int, consumer: str) -> Generator:
     return np.random.default_rng(SeedSequence(seed, spawn_key=tuple(ord(letter) for letter in consumer)))
 
 
-def _way(settings: SwarmSettings, rng: Generator) -> FloatArray:
-    """Return the waypoints (k, 2) in open country, m."""
+def _site_settings(name: str) -> WorldSettings:
+    if name not in SITE_NAMES:
+        raise ValueError(f"no site is called {name!r}; there are {', '.join(SITE_NAMES)}")
+    return WorldSettings.model_validate({"site": name})
+
+
+def _way(
+    settings: SwarmSettings, spawn_world: FloatArray, told: FloatArray | None, rng: Generator
+) -> FloatArray:
+    """Return the waypoints (k, 2) in open country, m: the swarm's own, the world's, or one anywhere."""
     azimuth = rng.uniform(-math.pi, math.pi)
     if settings.waypoints_m is not None:
         return np.array(settings.waypoints_m, np.float64)
-    return settings.goal_distance_m * np.array([[math.cos(azimuth), math.sin(azimuth)]])
-
-
-def _open_world(
-    world: WorldSettings | str, name: str | None, settings: SwarmSettings, plan: LeaderPlan, rng: Generator, folder: Path
-) -> World:
-    if name is not None:
-        return build_site(
-            name, rng, followers=settings.followers, goal_world=plan.waypoints_world
-        ).world
-    if world.pillars is not None:
-        goal = plan.waypoints_world[-1].tolist()
-        return pillar_field(
-            rng, world.pillars.model_copy(update={"spawn_world_m": (0.0, 0.0), "goal_world_m": (goal[0], goal[1])})
-        )
-    return World.of(world.primitives or ())
+    if told is not None:
+        return told
+    return spawn_world + settings.goal_distance_m * np.array([[math.cos(azimuth), math.sin(azimuth)]])
 
 
 def _freed(world: World, way_world: FloatArray, height: float) -> FloatArray:
@@ -151,7 +153,14 @@ def _freed(world: World, way_world: FloatArray, height: float) -> FloatArray:
 def _digest(scene: SwarmScene) -> str:
     digest = hashlib.sha256()
     world = scene.world
-    for array in (world.kinds, world.rows, scene.starts_world, scene.yaws, scene.waypoints_world, scene.holds_s):
+    for array in (
+        world.kinds,
+        world.rows,
+        scene.starts_world,
+        scene.yaws,
+        scene.waypoints_world,
+        scene.holds_s,
+    ):
         digest.update(np.ascontiguousarray(array).tobytes())
     numbers = [scene.speed_mps, scene.timeout_s, scene.wait_s, scene.ramp_s]
     digest.update(np.array(numbers).tobytes())
