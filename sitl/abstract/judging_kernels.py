@@ -9,7 +9,7 @@ import numpy as np
 
 from companion.compiled import compiled
 from companion.messages import FloatArray
-from sitl.abstract import parameters as place
+from sitl.abstract import layout_kernels as place
 from sitl.abstract.leader_kernels import FINISHED, PHASE
 from sitl.abstract.motion_kernels import closest_approach
 
@@ -97,7 +97,7 @@ def judge(
         leader_unseen_s: how long no follower has perceived the leader.
         goal: (3,) the last waypoint, world, m.
         leader: the leader's memory.
-        parameters: see `sitl.abstract.parameters`.
+        parameters: see `sitl.abstract.layout_kernels`.
         concerned: (2,) out, numbers of the vehicles by which it ends, -1 if fewer.
     """
     n = states.shape[0]

@@ -10,7 +10,7 @@ import numpy as np
 
 from companion.compiled import compiled, inlined
 from companion.messages import FloatArray
-from sitl.abstract import parameters as place
+from sitl.abstract import layout_kernels as place
 from sitl.abstract.grid_kernels import IndexArray
 from sitl.abstract.random_kernels import normal_pair, stream, uniform
 from sitl.dynamics_kernels import P, Q, V, advance
@@ -111,7 +111,7 @@ def move(
         seed: of the trial.
         step: number of the control step that begins.
         commands: (h, n, 3) recent velocities asked for, world, step k in row k mod h.
-        parameters: see `sitl.abstract.parameters`.
+        parameters: see `sitl.abstract.layout_kernels`.
         quadrotor: (22,) parameters of `dynamics_kernels.advance`, for the length of a substep.
         gusts: (n, 3) changed in place.
         motion: (n, 19) changed in place.

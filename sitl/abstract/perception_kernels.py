@@ -13,7 +13,7 @@ import numpy as np
 
 from companion.compiled import compiled, inlined
 from companion.messages import FloatArray
-from sitl.abstract import parameters as place
+from sitl.abstract import layout_kernels as place
 from sitl.abstract.grid_kernels import AN_OBSTACLE, KNOWN, LEFT_OUT, IndexArray, draw_grid
 from sitl.abstract.random_kernels import normal_pair, stream, uniform
 from sitl.abstract.sight_kernels import sees, up_of, yaw_of
@@ -62,7 +62,7 @@ def look_around(
         discs: (m, 3) its enclosing vertical cylinder.
         candidates: primitives that may be near, the first `count` of them.
         count: how many.
-        parameters: see `sitl.abstract.parameters`.
+        parameters: see `sitl.abstract.layout_kernels`.
         tracks: (n, 16) what i knows of each, changed in place.
     """
     delay = int(parameters[place.NEIGHBOUR_DELAY])
@@ -184,7 +184,7 @@ def observe(
         i: whose view.
         step: number of the control step.
         history: (h, n, 10) recent states.
-        parameters: see `sitl.abstract.parameters`.
+        parameters: see `sitl.abstract.layout_kernels`.
         tracks: (n, 16) what i knows of each.
         ego: (10,) out: position, velocity in the heading frame, heading, height, step s, seconds since
             anybody was perceived; the last is kept here from step to step.

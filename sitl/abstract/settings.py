@@ -10,7 +10,7 @@ from companion.messages import FloatArray
 from companion.perception.neighbours import NeighbourSettings
 from companion.perception.occupancy import GridSettings
 from companion.settings import Settings
-from sitl.abstract import parameters as place
+from sitl.abstract import layout_kernels as place
 from sitl.dynamics import STEP_S, QuadrotorSettings
 from sitl.swarm.settings import TerminationSettings
 from sitl.wind import WindSettings
@@ -141,7 +141,7 @@ class AbstractSettings(Settings):
         return round(CONTROL_STEP_S / self.substep_s)
 
     def packed(self, termination: TerminationSettings, timeout_s: float, cap_m: float) -> FloatArray:
-        """Return the numbers in the order of `sitl.abstract.parameters`."""
+        """Return the numbers in the order of `sitl.abstract.layout_kernels`."""
         seen, wind = self.perception, self.wind
         numbers = {
             place.CONTROL_STEP: CONTROL_STEP_S,

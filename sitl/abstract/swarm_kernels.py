@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from companion.compiled import compiled
 from companion.control.followers.laws_kernels import steer
 from companion.messages import FloatArray
-from sitl.abstract import parameters as place
+from sitl.abstract import layout_kernels as place
 from sitl.abstract.grid_kernels import IndexArray, cull
 from sitl.abstract.judging_kernels import FLYING, add_sample, judge
 from sitl.abstract.leader_kernels import lead
@@ -147,7 +147,7 @@ def fly(
         motion: see `MOTION`.
         views: see `VIEWS`.
         route: see `ROUTE`.
-        parameters: see `sitl.abstract.parameters`.
+        parameters: see `sitl.abstract.layout_kernels`.
         quadrotor: parameters of `dynamics_kernels.advance`.
         law: parameters of the law.
         sums: (7,) out, see `judging_kernels`.
