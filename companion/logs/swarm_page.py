@@ -56,15 +56,26 @@ def swarm_page(
         '<section class="card"><h2>Mean ± standard deviation over time</h2>'
         f"<table><thead><tr>{heads}</tr></thead><tbody><tr>{cells}</tr></tbody></table>{notes}</section>"
     )
+    paths = FigureBox(
+        "paths",
+        "Paths and flock radius",
+        "Seen from above. Circles: the flock radius around the swarm's centre, at equal times.",
+        _paths(flight, metrics, waypoints),
+        wide=True,
+    )
+    lead = f"{len(flight.vehicles)} UAVs: {', '.join(flight.names)}"
+    return page("Flight of a swarm", lead, [paths, *series_boxes(metrics, limits_m)], before=table)
+
+
+def series_boxes(metrics: SwarmMetrics, limits_m: tuple[float, float]) -> list[FigureBox]:
+    """Return the metrics over time, that of obstacles only if any was near.
+
+    Args:
+        metrics: of a flight.
+        limits_m: distances at which vehicles touch each other and obstacles.
+    """
     touching, contact = limits_m
     boxes = [
-        FigureBox(
-            "paths",
-            "Paths and flock radius",
-            "Seen from above. Circles: the flock radius around the swarm's centre, at equal times.",
-            _paths(flight, metrics, waypoints),
-            wide=True,
-        ),
         FigureBox(
             "fr",
             "Flock radius",
@@ -88,8 +99,7 @@ def swarm_page(
         figure = _series(metrics.t, metrics.obstacle_distance_m, "m", style.AXES[2], contact)
         caption = f"From any UAV to the nearest obstacle. Dotted: contact at {contact:g} m."
         boxes.append(FigureBox("mdo", "Minimum distance to obstacles", caption, figure))
-    lead = f"{len(flight.vehicles)} UAVs: {', '.join(flight.names)}"
-    return page("Flight of a swarm", lead, boxes, before=table)
+    return boxes
 
 
 def _paths(flight: SwarmFlight, metrics: SwarmMetrics, waypoints: Sequence[Vector]) -> Figure:
