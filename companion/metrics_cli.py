@@ -1,5 +1,6 @@
 """The verb `companion metrics`: a swarm's flight from the logs of its vehicles."""
 
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -70,7 +71,7 @@ def metrics(
             to_s=math.inf if to_s is None else to_s,
             cap_m=math.inf if cap is None else cap,
         )
-        found = judge(request)
+        found = judge(request, _show if sys.stderr.isatty() else None)
         page = output or logs[0].with_name("swarm.html")
         write_swarm_page(found, page)
         if not json_output:
@@ -80,6 +81,11 @@ def metrics(
         return {**found.as_dict(), "page": str(page)}, ExitCode.OK
 
     conclude(body, json_output)
+
+
+def _show(log: Path) -> None:
+    """Show which log is being read."""
+    typer.echo(f"reading {log}", err=True)
 
 
 def _places(

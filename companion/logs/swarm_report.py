@@ -11,7 +11,7 @@ import numpy as np
 from companion.errors import LogError
 from companion.logs.figure_page import write_whole
 from companion.logs.metrics import Spread, SwarmMetrics, measure, mission_progress_percent
-from companion.logs.swarm_log import SwarmFlight, read_swarm
+from companion.logs.swarm_log import Progress, SwarmFlight, read_swarm
 from companion.logs.swarm_obstacles import obstacle_distances
 from companion.logs.swarm_page import swarm_page
 from companion.logs.swarm_starts import StartPose, Vector
@@ -117,8 +117,12 @@ class SwarmReport:
         return f"{value.mean:.2f} ± {sd:.2f}"
 
 
-def judge(request: SwarmRequest) -> SwarmReport:
+def judge(request: SwarmRequest, progress: Progress | None = None) -> SwarmReport:
     """Read the logs of a swarm and compute its metrics.
+
+    Args:
+        request: what is to be judged.
+        progress: is told which log is being read.
 
     Raises:
         LogError: if they cannot be read or are no flight of a swarm; the text says why.
@@ -129,11 +133,12 @@ def judge(request: SwarmRequest) -> SwarmReport:
         airborne=request.airborne,
         from_s=request.from_s,
         to_s=request.to_s,
+        progress=progress,
     )
     distances, notes = obstacle_distances(flight)
     metrics = measure(flight.t, flight.p, flight.v, distances, cap_m=request.cap_m)
-    progress, success = _mission(flight, metrics, request.waypoints)
-    return SwarmReport(flight, metrics, request.waypoints, progress, success, (*flight.notes, *notes))
+    percent, success = _mission(flight, metrics, request.waypoints)
+    return SwarmReport(flight, metrics, request.waypoints, percent, success, (*flight.notes, *notes))
 
 
 def write_swarm_page(report: SwarmReport, path: Path) -> None:
