@@ -37,7 +37,10 @@ WRONG: dict[str, tuple[dict[str, object], str]] = {
         ": network.loss: found 1.5, allowed is a number from 0 to 1",
     ),
     "wrong type": ({"max_duration_s": "long"}, ": max_duration_s: found text 'long', allowed is a number"),
-    "two worlds": ({"world": {"pillars": {}, "primitives": []}}, "name exactly one of site, file, mesh, pillars, primitives"),
+    "two worlds": (
+        {"world": {"pillars": {}, "primitives": []}},
+        "name exactly one of site, file, mesh, pillars, primitives",
+    ),
     "unknown body": ({"world": {"primitives": [{"shape": "cone"}]}}, "world.primitives[0]"),
 }
 

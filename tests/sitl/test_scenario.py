@@ -119,7 +119,10 @@ def test_a_list_of_bodies_is_the_whole_world(tmp_path: Path) -> None:
     ("changes", "expected"),
     [
         ({"world": {}}, "name exactly one of site, file, mesh, pillars, primitives"),
-        ({"world": {**PILLARS, "primitives": []}}, "name exactly one of site, file, mesh, pillars, primitives"),
+        (
+            {"world": {**PILLARS, "primitives": []}},
+            "name exactly one of site, file, mesh, pillars, primitives",
+        ),
         ({"weather": "fine"}, "weather: unknown key"),
         ({"network": {"loss": 1.5}}, "network.loss: found 1.5"),
         ({"seed": -1}, "seed: found -1"),
