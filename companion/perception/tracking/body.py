@@ -7,16 +7,17 @@ import numpy as np
 from companion.messages import FloatArray
 from companion.perception.tracking.settings import TrackingSettings
 
-_TAPE_WEIGHT = 3.0
+_TAPE_WEIGHT = 5.0
 _TAPE_TELLS = np.array([1.0, 0.0, 1.0])
 # How far points scatter about their mean along the beam, across it (in radii) and upwards (in heights);
 # beams fall more evenly than by chance, so across a body the mean is better than the scatter says.
-_TAPE_SCATTER = 0.25, 0.25
-_DIM_SCATTER = 0.56, 0.55
-_WIDTH_SCATTER = 0.5
+_TAPE_SCATTER = 0.25, 0.3
+_DIM_SCATTER = 0.71, 0.67
+_WIDTH_SCATTER = 0.68
 # How much nearer than the outline's mean that mean is.
-_TAPE_DEPTH, _DIM_DEPTH = 1.3, 0.85
-_BEYOND_M = 0.13, 0.09  # arms, rotors and legs reach beyond the cylinder
+_TAPE_DEPTH, _DIM_DEPTH = 1.3, 0.63
+_BEYOND_M = 0.16, 0.11  # arms, rotors and legs reach beyond the cylinder...
+_BEYOND_SHARE = 1.08  # ...and return so many points for each one on it
 
 
 def visible_surface(direction_map: FloatArray, radius_m: float, height_m: float) -> FloatArray:
@@ -93,5 +94,5 @@ def outline_m(settings: TrackingSettings) -> tuple[float, float]:
 
 def whole_body_points(range_m: float, settings: TrackingSettings) -> float:
     """Return how many points of one scan a body shows of itself, on average."""
-    outline = 2.0 * settings.body_radius_m * settings.body_height_m
+    outline = (1.0 + _BEYOND_SHARE) * 2.0 * settings.body_radius_m * settings.body_height_m
     return settings.points_per_steradian * outline / range_m**2

@@ -72,17 +72,19 @@ class MotionFilter:
         F, Q = _transition(dt_s, self._acceleration_sigma, self._fading_s, white_density)
         self._filter.predict(F=F, Q=Q)
 
-    def fade(self, dt_s: float, fading_s: float, speed_sigma: float) -> None:
-        """Let what is known of the velocity fade for `dt_s`, towards standing still give or take a speed.
+    def fade(self, dt_s: float, fading_s: float, speed_sigma: float, v_map: FloatArray) -> None:
+        """Let what is known of the velocity fade for `dt_s`, towards another one give or take a speed.
 
         Args:
             dt_s: seconds.
             fading_s: time constant.
             speed_sigma: standard deviation of each axis that it tends to, m/s.
+            v_map: (3,) the velocity that it tends to, m/s.
         """
         left = math.exp(-dt_s / fading_s)
         keep = np.repeat([1.0, left, left], 3)
         self._filter.x = keep * self._filter.x
+        self._filter.x[_V] += (1.0 - left) * v_map
         self._filter.P = keep[:, None] * self._filter.P * keep
         self._filter.P[range(3, 6), range(3, 6)] += (1.0 - left**2) * speed_sigma**2
 

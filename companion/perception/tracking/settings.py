@@ -69,9 +69,9 @@ class TrackingSettings(Settings):
     points_per_steradian: float = Field(default=3500.0, gt=0.0, le=1e6)
     """Points of one scan per unit of solid angle: 20,000 on 5.72 sr."""
 
-    body_radius_m: float = Field(default=0.125, gt=0.0, le=2.0)
+    body_radius_m: float = Field(default=0.09, gt=0.0, le=2.0)
     """Radius of the upright cylinder that stands for another UAV's body..."""
-    body_height_m: float = Field(default=0.12, gt=0.0, le=2.0)
+    body_height_m: float = Field(default=0.08, gt=0.0, le=2.0)
     """...and its height; its near side is seen, its centre is wanted."""
     max_width_m: float = Field(default=0.6, gt=0.0, le=5.0)
     """Wider clusters are no UAV."""
@@ -121,11 +121,11 @@ class TrackingSettings(Settings):
     """The same for the own attitude."""
     degraded_factor: float = Field(default=4.0, ge=1.0, le=100.0)
     """Multiplies both while the odometry is degraded."""
-    acceleration_sigma: float = Field(default=0.7, ge=0.0, le=50.0)
+    acceleration_sigma: float = Field(default=0.8, ge=0.0, le=50.0)
     """Standard deviation of each level axis of a neighbour's acceleration, m/s^2..."""
     acceleration_up_sigma: float = Field(default=0.3, ge=0.0, le=50.0)
     """...and of its acceleration upwards..."""
-    acceleration_fading_s: float = Field(default=1.2, ge=0.0, le=20.0)
+    acceleration_fading_s: float = Field(default=1.5, ge=0.0, le=20.0)
     """...and for how long it lasts; 0 for plain constant velocity with white acceleration."""
     lost_fading_s: float = Field(default=1.5, gt=0.0, le=100.0)
     """How long a lost neighbour is believed to go on as it went..."""
@@ -152,7 +152,7 @@ class TrackingSettings(Settings):
     """Time between scans."""
     proof_of_flight: bool = True
     """A neighbour must also be seen to float freely or to move; otherwise brightness is enough."""
-    free_evidence: float = Field(default=3.0, gt=0.0, le=50.0)
+    free_evidence: float = Field(default=4.0, gt=0.0, le=50.0)
     """Log-likelihood ratio of free space below it over a foot, above which something floats."""
     foot_width_m: float = Field(default=0.06, gt=0.0, le=1.0)
     """Width of the thinnest post that is still expected to show under a sign."""

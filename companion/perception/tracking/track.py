@@ -6,6 +6,7 @@ import numpy as np
 
 from companion.clock import NANOSECONDS_PER_SECOND
 from companion.messages import FloatArray, NeighbourTrack
+from companion.perception.tracking import region_kernels
 from companion.perception.tracking.body import seen_of, sight_axes, whole_body_points
 from companion.perception.tracking.clustering import Cluster
 from companion.perception.tracking.motion_filter import MotionFilter
@@ -74,7 +75,7 @@ class Track:
         self.track_id = track_id
         self.t_born_ns = t_ns
         self.known = False  # whether it was ever taken for a UAV
-        self.claimed: Track | None = None
+        self.hidden = False  # whether what stands before it explains that it is not seen
         self._settings = settings
         self._begin(t_ns, cluster, z_map, R)
         self.judge()
@@ -108,6 +109,11 @@ class Track:
         return bool(max(P[3, 3], P[4, 4], P[5, 5]) <= _SETTLED_SPEED_SIGMA**2)
 
     @property
+    def is_still(self) -> bool:
+        """Return whether it has hardly moved since it was first seen."""
+        return float(np.linalg.norm(self.motion.p_map - self.proof.birth_map)) < self._settings.moved_m
+
+    @property
     def sigma_m(self) -> float:
         """Return the largest standard deviation of an axis of its position."""
         P = self.motion.covariance
@@ -117,14 +123,17 @@ class Track:
         """Return for how long it has not been observed."""
         return (t_ns - self.t_seen_ns) / NANOSECONDS_PER_SECOND
 
-    def predict(self, dt_s: float, *, lost: bool) -> None:
-        """Carry it on; nobody knows for long where one goes that was lost."""
+    def predict(self, dt_s: float, v_flock_map: FloatArray | None = None) -> None:
+        """Carry it on; of one that was lost all that is known before long is that it flies with the flock.
+
+        Args:
+            dt_s: seconds.
+            v_flock_map: (3,) mean velocity of the flock, where this one was lost.
+        """
         settings = self._settings
         self.motion.predict(dt_s, settings.acceleration_density)
-        if self.claimed is not None:
-            self.claimed.predict(dt_s, lost=True)
-        if lost:
-            self.motion.fade(dt_s, settings.lost_fading_s, settings.lost_speed_sigma)
+        if v_flock_map is not None:
+            self.motion.fade(dt_s, settings.lost_fading_s, settings.lost_speed_sigma, v_flock_map)
 
     def observe(self, t_ns: int, cluster: Cluster, z_map: FloatArray, R: FloatArray) -> None:
         """Take a measurement.
@@ -148,21 +157,16 @@ class Track:
             and float(np.linalg.norm(y)) <= self._settings.max_return_m
         )
 
-    def become(self, lost: "Track", *, doubtful: bool = False) -> None:
-        """Take the number of a lost one: this is who it was all along.
-
-        Args:
-            lost: it need not be followed any longer.
-            doubtful: this one has no proof but that it came into sight where the lost one was expected;
-                `claimed` keeps the lost one until there is more.
-        """
+    def become(self, lost: "Track") -> None:
+        """Take the number of a lost one: this is who it was all along."""
         self.track_id, self.t_born_ns, self.known = lost.track_id, lost.t_born_ns, True
-        if doubtful:
-            self.claimed = lost
-            self.proof.take_over(lost.proof)
 
     def look_around(self, counts: FloatArray, expected: float) -> None:
         """Take what surrounds it; see `Proof.look_around`."""
+        if not self.is_settled:
+            # Until it is known how it moves, its own points may seem to lie beside it.
+            counts = counts.copy()
+            counts[region_kernels.BESIDE] = 0.0
         width = math.hypot(float(self._newest.size_m[0]), float(self._newest.size_m[1]))
         resolved = (
             self._newest.fresh >= _RESOLVED_POINTS and width >= _RESOLVED_RADII * self._settings.body_radius_m

@@ -5,6 +5,7 @@ added by settings, and `TrackingSettings.literal` takes all of that back.
 """
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,7 @@ from companion.perception.tracking.clustering import (
     trim,
 )
 from companion.perception.tracking.filtering import ScanStack, StackedPoints
+from companion.perception.tracking.fixtures import Fixtures
 from companion.perception.tracking.regions import Regions, RegionSearch
 from companion.perception.tracking.settings import Association, Tape, TrackingSettings
 from companion.perception.tracking.smear import Velocities, straighten
@@ -35,6 +37,7 @@ Measured = tuple[FloatArray, FloatArray]
 """Position of a body's centre (3,), m, and its covariance (3, 3)."""
 
 _USABLE = (OdometryStatus.TRACKING, OdometryStatus.DEGRADED)
+_LEAST_POINTS = 2
 _SOLID_SHARE = 0.3  # points around a body, for each one on it, above which dim points are not its own
 
 
@@ -54,6 +57,7 @@ class NeighbourTracker:
         self._search = RegionSearch(settings)
         self._surroundings = Surroundings(settings, self._T_body_lidar.q)
         self._gate = float(chdtri(3, 1.0 - settings.gate_probability))
+        self._fixtures = Fixtures()
         self._tracks: list[Track] = []
         self._next_id = 1
         self._t_ns: int | None = None
@@ -70,7 +74,7 @@ class NeighbourTracker:
             self._forget()
             self._reset_counter = odometry.reset_counter
         if self._t_ns is None or odometry.t_ns > self._t_ns:
-            self._carry_on(odometry.t_ns)
+            self._carry_on(odometry.t_ns, odometry.v_map)
             if odometry.status in _USABLE and _is_finite(odometry):
                 self._look(scan)
             else:
@@ -82,14 +86,18 @@ class NeighbourTracker:
     def _forget(self) -> None:
         self._tracks, self._t_ns = [], None
         self._stack.clear()
+        self._fixtures.clear()
 
-    def _carry_on(self, t_ns: int) -> None:
+    def _carry_on(self, t_ns: int, v_map: FloatArray) -> None:
         dt_s = 0.0 if self._t_ns is None else (t_ns - self._t_ns) / NANOSECONDS_PER_SECOND
         if dt_s > self._settings.inactive_s + self._settings.last_seen_s:
             self._forget()
+        flock = [v_map] if np.isfinite(v_map).all() else []
+        flock += [track.motion.v_map for track in self._tracks if track.is_trusted(t_ns)]
+        v_flock = np.mean(flock, axis=0) if flock else np.zeros(3)
         self._t_ns = t_ns
         for track in self._tracks:
-            track.predict(dt_s, lost=not self._is_current(track))
+            track.predict(dt_s, None if self._is_current(track) else v_flock)
 
     def _look(self, scan: RegisteredScan) -> None:
         """The whole method: filter, cluster, associate, update, validate, begin."""
@@ -117,23 +125,37 @@ class NeighbourTracker:
         taken = {j for _, j in matches}
         free = [j for j in range(len(clusters)) if j not in taken]
         seen = np.array([track.motion.p_map for track in self._tracks if track.t_seen_ns == t_ns])
-        free = [j for j in free if self._may_begin(clusters[j], measured[j][0], seen.reshape(-1, 3))]
-        found = self._pairs(lost, [measured[j] for j in free], [clusters[j].age_s for j in free], self._gate)
-        found = [(i, k) for i, k in found if lost[i].expects(*measured[free[k]])]
-        for i, k in found:
-            back = Track(
-                lost[i].track_id, t_ns, clusters[free[k]], *measured[free[k]], settings=self._settings
-            )
-            back.become(lost[i], doubtful=True)
-            self._tracks[self._tracks.index(lost[i])] = back
+        begun = [
+            (j, before)
+            for j in free
+            for before in [self._missing(lost, measured[j])]
+            if self._may_begin(clusters[j], measured[j][0], seen.reshape(-1, 3), expected=before is not None)
+        ]
         self._judge([track for track in self._tracks if track.t_seen_ns == t_ns], stack, odometry, sensor)
-        self._release()
         self._recognise()
-        begun = [j for k, j in enumerate(free) if k not in {k for _, k in found}]
-        for j in begun[: self._room()]:
-            self._tracks.append(Track(self._next_id, t_ns, clusters[j], *measured[j], self._settings))
-            self._next_id += 1
+        for j, before in begun[: self._room()]:
+            self._begin(t_ns, clusters[j], measured[j], before)
         self._merge(t_ns)
+
+    def _missing(self, lost: list[Track], measured: Measured) -> Track | None:
+        """Return which of the lost ones might well have come into sight here, the one lost last."""
+        expecting = [track for track in lost if track.expects(*measured)]
+        return max(expecting, key=lambda track: track.t_seen_ns, default=None)
+
+    def _begin(self, t_ns: int, cluster: Cluster, measured: Measured, before: Track | None) -> None:
+        """Begin a track, perhaps of one who was lost before."""
+        evidence = self._fixtures.evidence(measured[0])
+        if before is not None and math.isinf(cluster.speed_sigma):
+            P = before.motion.covariance
+            sigma = math.sqrt(max(P[3, 3], P[4, 4], P[5, 5]))
+            cluster = replace(cluster, velocity_map=before.motion.v_map.copy(), speed_sigma=sigma)
+        track = Track(self._next_id, t_ns, cluster, *measured, self._settings)
+        if evidence < 0.0:
+            track.proof.free = evidence
+        elif before is not None:
+            track.proof.encourage()
+        self._tracks.append(track)
+        self._next_id += 1
 
     def _room(self) -> int:
         """Return how many tracks may begin."""
@@ -150,10 +172,13 @@ class NeighbourTracker:
         enough = self._settings.sparse_updates or is_enough(cluster, self._settings)
         return cluster.fresh > 0 and enough and is_small(cluster, self._settings)
 
-    def _may_begin(self, cluster: Cluster, z_map: FloatArray, seen_map: FloatArray) -> bool:
+    def _may_begin(
+        self, cluster: Cluster, z_map: FloatArray, seen_map: FloatArray, *, expected: bool
+    ) -> bool:
         """Return whether a cluster that belongs to no track seen now, at `seen_map`, may be another UAV."""
         settings = self._settings
-        if not is_enough(cluster, settings):
+        # Of one who is missing fewer points will do.
+        if not is_enough(cluster, settings) and not (expected and cluster.points >= _LEAST_POINTS):
             return False
         if settings.tape is Tape.REFLECTIVE and cluster.bright_share <= settings.bright_share:
             return False
@@ -209,10 +234,7 @@ class NeighbourTracker:
         covariances = np.array([track.motion.covariance for track in tracks])
         noises = np.array([R for _, R in measured])
         costs = gated_costs(states, covariances, z, noises, np.array(ages_s), gate)
-        limits = [
-            settings.max_match_m if self._is_current(track) else settings.max_return_m for track in tracks
-        ]
-        costs[away > np.array(limits)[:, None]] = np.inf
+        costs[away > settings.max_match_m] = np.inf
         if banned is not None:
             costs[banned] = np.inf
         return global_pairs(costs)
@@ -281,19 +303,6 @@ class NeighbourTracker:
         for track in seen:
             track.judge()
 
-    def _release(self) -> None:
-        """Let go of the numbers that were given to what is no UAV after all."""
-        for track in list(self._tracks):
-            if track.claimed is None:
-                continue
-            if not track.proof.validated:
-                self._tracks.append(track.claimed)
-                track.track_id, track.known = self._next_id, False
-                self._next_id += 1
-            if not track.proof.validated or track.proof.is_its_own:
-                track.claimed = None
-        self._tracks.sort(key=lambda track: track.track_id)
-
     def _recognise(self) -> None:
         """Give whoever has just proved to be a UAV the number of the lost one it most likely is."""
         new = [track for track in self._tracks if track.proof.validated and not track.known]
@@ -328,7 +337,11 @@ class NeighbourTracker:
         self._tracks = [track for track in self._tracks if track.track_id not in dropped]
 
     def _bury(self) -> None:
+        """Let go of what was not seen for too long, and remember where nothing flies."""
         longest = self._settings.inactive_s + self._settings.last_seen_s
+        for track in self._tracks:
+            if not self._is_current(track) and not track.proof.validated and track.is_still:
+                self._fixtures.remember(track.motion.p_map, track.proof.free)
         self._tracks = [
             track
             for track in self._tracks

@@ -22,7 +22,7 @@ from companion.perception.tracking.settings import Tape, TrackingSettings
 # In thresholds of evidence:
 _MOST_EVIDENCE = 4.0  # what is proven can still be disproven
 _MOTION = 2.0  # what moved may pass by solid things for a while
-_TAKEN_OVER = 0.5  # what one who seems to have come back starts with
+_EXPECTED = 0.5  # what one begins with who seems to have come back
 _DOUBT = 0.25  # what seems attached by more than this cannot prove itself by moving
 # Of one scan:
 _MOST_AGAINST = 3.0  # attached points that count
@@ -87,7 +87,7 @@ class Proof:
     def __init__(self, settings: TrackingSettings, motion: MotionFilter) -> None:
         """Begin without any, at the place of birth."""
         self._settings = settings
-        self._birth_map = motion.p_map.copy()
+        self.birth_map = motion.p_map.copy()
         self._birth_covariance = motion.covariance[:3, :3].copy()
         self._bright = self._points = 0.0
         self._updates = 0
@@ -99,15 +99,9 @@ class Proof:
         self.moved = False
         self.validated = False
 
-    def take_over(self, before: "Proof") -> None:
-        """Believe what another one has proved until there is evidence against it."""
-        self.validated = before.validated
-        self.free = min(before.free, _TAKEN_OVER * self._settings.free_evidence)
-
-    @property
-    def is_its_own(self) -> bool:
-        """Return whether it has more evidence than any that it took over."""
-        return self.moved or self.free >= self._settings.free_evidence
+    def encourage(self) -> None:
+        """Begin with some of the evidence: it came into sight where a UAV was expected."""
+        self.free = _EXPECTED * self._settings.free_evidence
 
     @property
     def bright_share(self) -> float:
@@ -181,7 +175,7 @@ class Proof:
     def _goes(self, motion: MotionFilter) -> bool:
         """Return whether it has moved away from its birth and is still moving, beyond doubt."""
         settings = self._settings
-        way, v = motion.p_map - self._birth_map, motion.v_map
+        way, v = motion.p_map - self.birth_map, motion.v_map
         far, fast = float(np.linalg.norm(way)), float(np.linalg.norm(v))
         sigma_p = math.sqrt(float(np.trace(motion.covariance[:3, :3] + self._birth_covariance)))
         sigma_v = math.sqrt(float(np.trace(motion.covariance[3:, 3:])))

@@ -14,7 +14,10 @@ SENSOR = np.array([0.0, 0.0, 1.5])
 
 @dataclass(frozen=True)
 class Uav:
-    """A cylinder of 0.25 m by 0.12 m that moves evenly, a part of its points bright."""
+    """A body of 0.25 m by 0.12 m that moves evenly, a part of its points bright.
+
+    Bright ones lie on a hull in its middle, the others also on what sticks out all around.
+    """
 
     p_map: tuple[float, float, float]
     v_map: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -91,13 +94,13 @@ def _on_uav(
     ages_ns = rng.uniform(0.0, SCAN_NS, count)
     flat = -away[:2] / np.linalg.norm(away[:2])
     left = rng.uniform(-0.125, 0.125, count)
-    near = np.sqrt(0.125**2 - left**2)
-    surface = np.column_stack(
-        [near * flat[0] - left * flat[1], near * flat[1] + left * flat[0], rng.uniform(-0.06, 0.06, count)]
-    )
+    bright = rng.random(count) < uav.bright_share
+    near = np.where(bright, rng.normal(0.082, 0.02, count), rng.uniform(-0.06, 0.15, count))
+    up = np.where(bright, 0.5, 1.0) * rng.uniform(-0.08, 0.08, count)
+    surface = np.column_stack([near * flat[0] - left * flat[1], near * flat[1] + left * flat[0], up])
     centres = np.array([uav.at(t_s - 1e-9 * age) for age in ages_ns]).reshape(-1, 3)
     noise = rng.normal(0.0, 0.005, (count, 3))
-    return centres + surface + noise, rng.random(count) < uav.bright_share, ages_ns
+    return centres + surface + noise, bright, ages_ns
 
 
 def _on_post(post: Post, rng: np.random.Generator) -> tuple[FloatArray, NDArray[np.bool_], FloatArray]:

@@ -114,7 +114,7 @@ def test_one_who_rushes_past_is_known_from_the_streak_it_leaves() -> None:
     uav = Uav((1.2, -2.4, 1.6), (0.0, 5.0, 0.0))
     results = follow([uav], 10)
     found = [bool(validated(tracks)) for tracks in results]
-    assert all(found[3:])
+    assert all(found[4:])
     (track,) = validated(results[-1])
     assert np.linalg.norm(track.p_map - uav.at(1.0)) < 0.1
     assert np.linalg.norm(track.v_map - uav.v_map) < 0.5

@@ -32,7 +32,7 @@ def test_brightness_alone_proves_nothing_and_free_space_below_does() -> None:
         mine.look_around(counts(), 0.0, False)
         mine.judge(10, 4, motion)
     assert not mine.validated
-    for _ in range(2):
+    for _ in range(3):
         mine.look_around(counts(), 1.5, False)
         mine.judge(10, 4, motion)
     assert mine.validated
