@@ -42,14 +42,18 @@ class NeighbourView:
     def at(self, odometry: Odometry, t_ns: int) -> Neighbours:
         """Return the neighbours at host time `t_ns`.
 
+        Nobody, if the own motion is not finite or belongs to another map than the tracks.
+
         Args:
             odometry: the newest own motion.
             t_ns: now; the result holds for then, or for the scan's end without compensation.
         """
         if self._tracks is None or self._seen_from is None:
-            return nearest([], odometry, t_ns, t_ns, self._settings.count)
+            return nobody(t_ns, self._settings.count)
         t_valid_ns = t_ns if self._settings.compensate_latency else self._tracks.t_ns
         own = odometry if self._settings.compensate_latency else self._seen_from
+        if odometry.reset_counter != self._seen_from.reset_counter or not _is_finite(own):
+            return nobody(t_valid_ns, self._settings.count)
         fresh_ns = t_ns - round(self._settings.max_age_s * 1e9)
         seen = [track for track in self._tracks.tracks if track.validated and track.t_seen_ns >= fresh_ns]
         return nearest(
@@ -79,6 +83,17 @@ def moved(track: NeighbourTrack, by_ns: int) -> NeighbourTrack:
     )
 
 
+def nobody(t_ns: int, count: int) -> Neighbours:
+    """Return `count` empty places at host time `t_ns`."""
+    return Neighbours(
+        t_ns,
+        np.full(count, _NONE, dtype=np.int64),
+        np.zeros((count, STATE_WIDTH)),
+        np.zeros((count, 6, 6)),
+        np.zeros(count),
+    )
+
+
 def nearest(
     tracks: list[NeighbourTrack], odometry: Odometry, t_valid_ns: int, t_ns: int, count: int
 ) -> Neighbours:
@@ -94,10 +109,7 @@ def nearest(
         t_ns: now, for the ages.
         count: most neighbours.
     """
-    states = np.zeros((count, STATE_WIDTH))
-    covariances = np.zeros((count, 6, 6))
-    ids = np.full(count, _NONE, dtype=np.int64)
-    ages_s = np.zeros(count)
+    found = nobody(t_valid_ns, count)
     dt = (t_valid_ns - odometry.t_ns) * 1e-9
     p_own = odometry.p_map + dt * odometry.v_map
     q_own = rotation.multiply(odometry.q_map_body, rotation.exp(odometry.omega_body * dt))
@@ -108,10 +120,18 @@ def nearest(
     turn = np.zeros((6, 6))
     turn[:3, :3] = turn[3:, 3:] = R_heading_map
     for row, track in enumerate(order[:count]):
-        states[row, 0:3] = R_heading_map @ (track.p_map - p_own)
-        states[row, 3:6] = R_heading_map @ (track.v_map - odometry.v_map)
-        states[row, 6] = 1.0
-        covariances[row] = turn @ (track.covariance + own_velocity) @ turn.T
-        ids[row] = track.track_id
-        ages_s[row] = (t_ns - track.t_seen_ns) * 1e-9
-    return Neighbours(t_valid_ns, ids, states, covariances, ages_s)
+        found.states_heading[row, 0:3] = R_heading_map @ (track.p_map - p_own)
+        found.states_heading[row, 3:6] = R_heading_map @ (track.v_map - odometry.v_map)
+        found.states_heading[row, 6] = 1.0
+        found.covariances_heading[row] = turn @ (track.covariance + own_velocity) @ turn.T
+        found.track_ids[row] = track.track_id
+        found.ages_s[row] = (t_ns - track.t_seen_ns) * 1e-9
+    return found
+
+
+def _is_finite(odometry: Odometry) -> bool:
+    """Return whether everything that neighbours are seen from is a number."""
+    parts = (
+        odometry.p_map, odometry.q_map_body, odometry.v_map, odometry.omega_body, odometry.covariance_velocity
+    )  # fmt: skip
+    return all(bool(np.isfinite(part).all()) for part in parts)

@@ -5,8 +5,10 @@ world tilt. `nearest_ranges` makes it from points, in flight and in the emulator
 points, casts rays and shares `GridSettings` and `encode`.
 """
 
+import math
+
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from companion.geometry import rotation
 from companion.messages import FloatArray, NeighbourTracks, PointArray, RegisteredScan
@@ -36,6 +38,14 @@ class GridSettings(Settings):
     """What is lower over the start point counts as ground."""
     neighbour_radius_m: float = Field(default=0.35, ge=0.0, le=2.0)
     """Points this near to a validated neighbour belong to it: it is no obstacle but a neighbour."""
+
+    @model_validator(mode="after")
+    def _field_is_open(self) -> "GridSettings":
+        if self.lowest_elevation_deg >= self.highest_elevation_deg:
+            raise ValueError("lowest_elevation_deg must be below highest_elevation_deg")
+        if self.min_range_m >= self.max_range_m:
+            raise ValueError("min_range_m must be below max_range_m")
+        return self
 
     @property
     def limits(self) -> FloatArray:
@@ -79,12 +89,16 @@ class ObstacleGrid:
             scan: what was seen; the vehicle's own parts, the ground and validated neighbours are left out,
                 bodies that are not known stay in, for they must be avoided.
             tracks: neighbours at the scan's end.
-            p_map: (3,) where the grid is centred, usually the body.
+            p_map: (3,) where the grid is centred, usually the body; nothing is near an unknown place.
             yaw: heading of the grid, rad.
         """
+        if not (np.isfinite(p_map).all() and math.isfinite(yaw)):
+            return np.full_like(self._ranges, np.inf)
+        # The kernel trusts both to be of one length.
+        count = min(len(scan.points_map), len(scan.ages_ns))
         occupancy_kernels.nearest_ranges(
-            np.ascontiguousarray(scan.points_map),
-            np.ascontiguousarray(scan.ages_ns),
+            np.ascontiguousarray(scan.points_map[:count], dtype=np.float32),
+            np.ascontiguousarray(scan.ages_ns[:count], dtype=np.int32),
             np.ascontiguousarray(p_map, dtype=np.float64),
             yaw,
             self._limits,

@@ -35,6 +35,7 @@ SIGHT = np.dtype(
     [
         ("flight", np.int32), ("scan", np.int64), ("neighbour", np.int32), ("range_m", np.float64),
         ("visible", np.bool_), ("counted", np.bool_), ("steady", np.bool_), ("matched", np.bool_),
+        ("fresh", np.bool_),
         ("error_p", np.float64, 3), ("error_v", np.float64, 3), ("error_relative_v", np.float64, 3),
         ("white_p", np.float64, 3), ("white_v", np.float64, 3),
     ]
@@ -43,8 +44,9 @@ SIGHT = np.dtype(
 
 `visible`: in the field of view, not hidden and in range while the own vehicle flies; `counted`: the same
 for long enough; `steady`: it hardly accelerated lately; `matched`: a validated track was there, and what
-follows is known: errors along the line of sight, across it and upwards, the last one of the velocity as
-seen from the own vehicle; then position and velocity errors in units of the covariance's root.
+follows is known: `fresh`: this very scan showed it; errors along the line of sight, across it and upwards,
+the last one of the velocity as seen from the own vehicle; then position and velocity errors in units of
+the covariance's root.
 """
 
 STEP = np.dtype(
@@ -186,6 +188,7 @@ class Score:
                 track = current[matches[i]]
                 self._switches += int(self._numbers.get(i, track.track_id) != track.track_id)
                 self._numbers[i] = track.track_id
+                sight["fresh"] = track.t_seen_ns == tracks.t_ns
                 _enter_errors(sight, track, p_true[i], v_true[i], odometry.v_map - v_own, odometry.p_map)
         self._sights.append(found)
 

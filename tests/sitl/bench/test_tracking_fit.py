@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from sitl.abstract.settings import PerceptionSettings
 from sitl.bench.tracking_fit import fit
 from sitl.bench.tracking_score import SIGHT, STEP, FlightScore
 
@@ -23,7 +24,9 @@ def flown(fade: float = 0.0) -> FlightScore:
         fresh[k] += fade * fresh[k - 1]
     errors = fresh * np.array([0.02, 0.06])[None, :, None]
     sights["error_p"] = errors.reshape(-1, 3)
-    sights["error_relative_v"] = 5.0 * errors.reshape(-1, 3)
+    sights["error_v"] = 5.0 * errors.reshape(-1, 3)
+    sights["error_relative_v"] = sights["error_v"] - np.repeat(rng.normal(0.0, 0.04, (SCANS, 3)), 2, axis=0)
+    sights["fresh"] = sights["matched"] & (rng.random(2 * SCANS) < np.tile([1.0, 0.5], SCANS))
     times = np.full(SCANS, 4.0)
     return FlightScore(sights, np.zeros(0, STEP), times, 3.0 * times, np.array([0.2, 0.4]), 0, 400.0, 800.0)
 
@@ -41,6 +44,22 @@ def test_sigmas_and_probabilities_by_range_are_found() -> None:
     assert far.detection_probability == pytest.approx(0.9, abs=0.02)
     assert model.latency_s == pytest.approx(0.012)
     assert model.acquisition_s == pytest.approx(0.3)
+
+
+def test_the_abstract_swarm_takes_what_is_found() -> None:
+    model = fit(flown())
+    assert model is not None
+    found = PerceptionSettings.model_validate(model.settings())
+    for errors in model.by_range:
+        assert found.position_sigma_m + errors.range_m * found.position_sigma_per_m == pytest.approx(
+            errors.position_sigma_m, rel=0.02
+        )
+        assert found.dropout + (errors.range_m / 10.0) ** 2 * found.dropout_far == pytest.approx(
+            errors.dropout, abs=0.08
+        )
+    assert found.ego_velocity_sigma_mps == pytest.approx(0.04, rel=0.05)
+    assert found.sightings == 4
+    assert found.neighbour_delay_s == pytest.approx(0.012)
 
 
 def test_how_long_errors_last_is_found() -> None:
