@@ -16,7 +16,7 @@ from sitl.campaign.tables import (
     failures_table,
     paired_table,
 )
-from sitl.campaign.tables_labels import Labels, method_title, world_title
+from sitl.campaign.tables_labels import Labels
 from sitl.campaign.tables_rendering import Table, html_table, latex, markdown
 from sitl.swarm.record import TrialRecord
 
@@ -28,6 +28,10 @@ INDEX = "index.html"
 LogOf = Callable[[TrialRecord], str | None]
 """Where the log of a trial lies, relative to the report's folder, or None if there is none."""
 
+_AGAIN = (
+    '<p class="note">Any trial can be flown again, with a log: <code>sitl trial DIR --world NAME --method '
+    "NAME --followers N --trial K --out FILE.mcap</code></p>"
+)
 _FAILED_SHOWN = 40
 _SUCCEEDED_SHOWN = 5
 
@@ -126,7 +130,8 @@ def _trials(records: Sequence[TrialRecord], log_of: LogOf | None) -> str:
     for (world, method, followers, fidelity), trials in by_case(records).items():
         failed = [trial for trial in trials if trial.end != SUCCESS]
         shown = failed[:_FAILED_SHOWN] + [t for t in trials if t.end == SUCCESS][:_SUCCEEDED_SHOWN]
-        title = f"{world_title(world)}, {method_title(method)}, {followers} followers, {fidelity}"
+        # As the command line calls them, for whoever wants to fly a trial again.
+        title = f"{world}, {method}, {followers} followers, {fidelity}"
         rows = "".join(_trial_row(trial, log_of) for trial in shown)
         heads = "".join(
             f"<th>{word}</th>" for word in ("trial", "end", "by", "at, s", "MP, %", "seed", "scene", "log")
@@ -136,7 +141,7 @@ def _trials(records: Sequence[TrialRecord], log_of: LogOf | None) -> str:
             f"<table><thead><tr>{heads}</tr></thead><tbody>{rows}</tbody></table>"
             f'<p class="note">{len(shown)} of {len(trials)} trials shown.</p></details>'
         )
-    return f'<section class="card"><h2>Trials</h2>{"".join(parts)}</section>'
+    return f'<section class="card"><h2>Trials</h2>{_AGAIN}{"".join(parts)}</section>'
 
 
 def _trial_row(trial: TrialRecord, log_of: LogOf | None) -> str:

@@ -78,7 +78,7 @@ def _published(value: Published | None) -> str:
 
 
 def comparison_table(cases: Sequence[CaseSummary], labels: Labels, cap_m: float) -> Table | None:
-    """Return methods by worlds for swarms of four followers, None if there is no such case."""
+    """Return methods by worlds for swarms of four followers, None if the paper has none of these worlds."""
     chosen = [case for case in cases if case.followers == 4]
     if not chosen:
         return None
@@ -87,6 +87,8 @@ def comparison_table(cases: Sequence[CaseSummary], labels: Labels, cap_m: float)
     ours = list(dict.fromkeys((case.method, case.fidelity) for case in chosen))
     known = {name: labels.method(name) for name, _ in ours}
     sites = {world: labels.site(world) for world in worlds}
+    if not set(sites.values()) & set(paper.WORLDS):
+        return None
     theirs = [method for method in paper.METHODS if method in known.values()]
     rows: list[Row] = []
     for metric in METRICS:

@@ -55,13 +55,15 @@ class Labels:
     @classmethod
     def of(cls, definition: CampaignDefinition) -> "Labels":
         """Return the names that a campaign's file gives."""
-        unusual = definition.swarm.leader.behaviour != "straight"
+        swarm = definition.swarm
+        unusual = swarm.leader.behaviour != "straight"
         return cls(
             methods={entry.name: entry.method_name for entry in definition.method_entries},
             worlds={
                 entry.name: entry.site_name
                 for entry in definition.world_entries
-                if entry.behaviour == "straight" or (entry.behaviour is None and not unusual)
+                if not swarm.waypoints_m
+                and (entry.behaviour == "straight" or (entry.behaviour is None and not unusual))
             },
         )
 

@@ -76,14 +76,21 @@ def test_a_method_under_another_name_stands_beside_its_own_row_of_the_paper() ->
     ]
 
 
-def test_a_world_with_an_unusual_leader_has_no_published_numbers() -> None:
-    records = campaign(("hovering",), ("flock",), trials=4)
-    definition = CampaignDefinition.model_validate_json(
-        '{"title": "T", "methods": ["flock"],'
-        ' "worlds": [{"name": "hovering", "site": "pillars_5m", "behaviour": "hover"}]}'
-    )
-    table = found(comparison_table(summarise(records), Labels.of(definition), 4.0))
-    assert row_of(table, "SR (%)", "Proposed", "paper") == ["–"]
+@pytest.mark.parametrize(
+    "unusual",
+    [
+        '"worlds": [{"name": "w", "site": "forest", "behaviour": "hover"}]',
+        '"worlds": [{"name": "w", "site": "forest"}], "swarm": {"leader": {"behaviour": "mixed"}}',
+        '"worlds": [{"name": "w", "site": "forest"}], "swarm": {"waypoints_m": [[9, 0], [9, 9]]}',
+    ],
+)
+def test_a_world_with_an_unusual_leader_has_no_published_numbers(unusual: str) -> None:
+    text = f'{{"title": "T", "methods": ["flock"], {unusual}}}'
+    labels = Labels.of(CampaignDefinition.model_validate_json(text))
+    assert comparison_table(summarise(campaign(("w",), ("flock",), trials=4)), labels, 4.0) is None
+    plain = Labels.of(CampaignDefinition(title="T", methods=["flock"], worlds=["forest"]))
+    table = found(comparison_table(summarise(campaign(("forest",), ("flock",), trials=4)), plain, 4.0))
+    assert row_of(table, "SR (%)", "Proposed", "paper") == ["72.0"]
 
 
 def test_both_fidelities_have_rows_of_their_own() -> None:
