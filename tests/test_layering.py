@@ -53,7 +53,7 @@ FLOORS: tuple[frozenset[str], ...] = (
 OWNERS = {
     "mavsdk": "companion/drivers/px4.py",
     "onnxruntime": "companion/control/policy.py",
-    "open3d": "companion/perception/tracking",
+    "open3d": "sitl/worlds",
     "filterpy": "companion/perception/tracking",
     "mcap": "companion/logs",
     "torch": "sitl/training",

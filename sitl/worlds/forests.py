@@ -1,9 +1,9 @@
 """Forests: leaning trunks and rocks, with crowns and branches if wanted.
 
-The guaranteed gap is that between stems and rocks, measured between their surfaces in three dimensions:
-trunks lean, so two may come nearer to each other aloft than their feet are. Crowns and branches reach into
-the gaps; that is what makes the forest harder than its simplified form at the same gap. They end
-`CROWN_REACH_M` from their stem's axis, so at least 1 m between two trees stays free at a gap of 5 m.
+The guaranteed gap is that between the feet of stems and rocks, as a forester would measure it. Trunks lean,
+so aloft two may come nearer to each other, or be farther apart. Crowns and branches reach into the gaps too;
+that is what makes the forest harder than its simplified form at the same gap. They end `CROWN_REACH_M` from
+their stem's axis.
 """
 
 import math
@@ -11,11 +11,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.random import Generator
+from numpy.typing import NDArray
 
 from companion.messages import FloatArray
 from sitl.worlds.course import Course
 from sitl.worlds.open_country import square_around
-from sitl.worlds.placing import fill
+from sitl.worlds.placing import FreeDisc, fill
 from sitl.worlds.primitives import World
 from sitl.worlds.surfaces import capsules, cylinders, ground, spheres, together
 
@@ -54,13 +55,13 @@ _GROWN = _Wood((0.12, 0.3), (5.5, 8.0), 10.0, (0.4, 1.2), 0.2)
 
 
 def simplified_forest(rng: Generator, course: Course) -> World:
-    """Return leaning trunks without leaves, and rocks, at least 5 m apart."""
+    """Return leaning trunks without leaves, and rocks, their feet at least 5 m apart."""
     trunks, rocks = _stand(rng, course, _SIMPLIFIED, 0.0)
     return together(_floor(rng), _bark(rng, trunks), _stone(rng, rocks))
 
 
 def forest(rng: Generator, course: Course) -> World:
-    """Return trees with crowns from 1.5 m up and thin branches, and rocks; stems at least 5 m apart."""
+    """Return trees with crowns from 1.5 m up and thin branches, and rocks; feet at least 5 m apart."""
     trunks, rocks = _stand(rng, course, _GROWN, CROWN_REACH_M)
     return together(
         _floor(rng), _bark(rng, trunks), _stone(rng, rocks), _crowns(rng, trunks), _branches(rng, trunks)
@@ -68,10 +69,10 @@ def forest(rng: Generator, course: Course) -> World:
 
 
 def _stand(rng: Generator, course: Course, wood: _Wood, reach_m: float) -> tuple[FloatArray, FloatArray]:
-    """Return trunks and rocks as rods (n, 7)."""
+    """Return trunks and rocks as rods (n, 7), with `reach_m` of room for leaves at the places kept free."""
     low, high = square_around(course)
 
-    def rods_of(numbers: FloatArray) -> FloatArray:
+    def upright_rods_of(numbers: FloatArray) -> FloatArray:
         is_rock = numbers[:, 0] < wood.rock_share
         radii = np.where(
             is_rock, _between(wood.rock_radius_m, numbers[:, 1]), _between(wood.trunk_radius_m, numbers[:, 1])
@@ -79,21 +80,36 @@ def _stand(rng: Generator, course: Course, wood: _Wood, reach_m: float) -> tuple
         rods = np.empty((len(numbers), 7))
         rods[:, :2] = low + (high - low) * numbers[:, 2:4]
         rods[:, 2] = np.where(is_rock, 0.5 * radii * numbers[:, 4], -_BELOW_GROUND_M)
-        lengths = np.where(is_rock, 0.0, _between(wood.trunk_length_m, numbers[:, 4]))
-        leans = math.radians(wood.greatest_lean_deg) * numbers[:, 5]
-        azimuths = 2.0 * math.pi * numbers[:, 6]
-        aside = lengths * np.sin(leans)
-        rods[:, 3] = rods[:, 0] + aside * np.cos(azimuths)
-        rods[:, 4] = rods[:, 1] + aside * np.sin(azimuths)
-        rods[:, 5] = rods[:, 2] + lengths * np.cos(leans)
+        rods[:, 3:5] = rods[:, :2]
+        rods[:, 5] = rods[:, 2] + np.where(is_rock, 0.0, _between(wood.trunk_length_m, numbers[:, 4]))
         rods[:, 6] = radii
         return rods
 
+    free = course.free(reach_m)
     rods, numbers = fill(
-        rng, 7, rods_of, free=course.free(reach_m), gap_m=GAP_M, failures_until_full=_FAILURES_UNTIL_FULL
+        rng, 7, upright_rods_of, free=free, gap_m=GAP_M, failures_until_full=_FAILURES_UNTIL_FULL
     )
     is_rock = numbers[:, 0] < wood.rock_share
-    return rods[~is_rock], rods[is_rock]
+    rocks, trunks = rods[is_rock], rods[~is_rock]
+    leans = math.radians(wood.greatest_lean_deg) * numbers[~is_rock, 5]
+    azimuths = 2.0 * math.pi * numbers[~is_rock, 6]
+    lengths = trunks[:, 5] - trunks[:, 2]
+    trunks[:, 3] += lengths * np.sin(leans) * np.cos(azimuths)
+    trunks[:, 4] += lengths * np.sin(leans) * np.sin(azimuths)
+    trunks[:, 5] = trunks[:, 2] + lengths * np.cos(leans)
+    return trunks[_outside(trunks, free)], rocks
+
+
+def _outside(trunks: FloatArray, free: list[FreeDisc]) -> NDArray[np.bool_]:
+    """Return which trunks (n, 7) lean into none of the places kept free."""
+    foot, along = trunks[:, :2], trunks[:, 3:5] - trunks[:, :2]
+    squared = np.maximum(np.sum(along * along, axis=1), 1e-12)
+    keep = np.ones(len(trunks), bool)
+    for x, y, radius in free:
+        share = np.clip(np.sum((np.array([x, y]) - foot) * along, axis=1) / squared, 0.0, 1.0)
+        nearest = np.hypot(*(foot + share[:, None] * along - [x, y]).T)
+        keep &= nearest >= radius + trunks[:, 6]
+    return keep
 
 
 def _crowns(rng: Generator, trunks: FloatArray) -> World:
