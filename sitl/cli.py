@@ -12,8 +12,9 @@ from companion import __version__
 from companion.command_line import AsJson, Result, conclude, run
 from companion.exit_codes import ExitCode
 from sitl.bench_cli import app as bench_app
-from sitl.campaign_cli import campaign
+from sitl.campaign_cli import campaign, trial
 from sitl.odometry_peer_cli import odometry_peer
+from sitl.swarm_cli import run_swarm
 from sitl.world_cli import world
 
 if TYPE_CHECKING:
@@ -36,6 +37,10 @@ app.add_typer(bench_app, name="bench")
 app.command(
     epilog="Example: sitl campaign field_configs/campaign_comparison.yaml --trials 100 --worlds pillars_5m"
 )(campaign)
+app.command(
+    epilog="Example: sitl trial runs/campaign --world pillars_5m --method flock --followers 4 --trial 17 "
+    "--out trial_17.mcap"
+)(trial)
 app.command(
     "odometry-peer", epilog="Example: sitl odometry-peer field_configs/sitl_uav_leader_external.yaml"
 )(odometry_peer)
@@ -80,9 +85,23 @@ def run_scenario(
     out: Annotated[Path, typer.Option(help="Folder for the log; an older log in it is replaced.")] = Path(
         "runs/last"
     ),
+    fidelity: Annotated[
+        Literal["full", "abstract"],
+        typer.Option(help="Of a swarm: packets, odometry and tracking, or perception as a model."),
+    ] = "full",
+    workers: Annotated[
+        int | None,
+        typer.Option(
+            min=1, max=64, help="Processes of a swarm, one a core by default; results are the same."
+        ),
+    ] = None,
+    packets: Annotated[
+        bool,
+        typer.Option("--packets/--no-packets", help="Log the LiDAR's packets and clouds of a swarm too."),
+    ] = True,
     json_output: AsJson = False,
 ) -> None:
-    """Fly one scenario and judge it.
+    """Fly one scenario and judge it: one vehicle, or a swarm if it has a section `swarm`.
 
     Without options: step by step, as fast as possible, and the same seed writes the same bytes. With `--wire`
     the process that flies is `companion fly` itself. Leaves with 0 on success and 3 when the flight failed.
@@ -97,6 +116,22 @@ def run_scenario(
             raise typer.BadParameter("--wire and --px4 exclude each other: both fly in real time")
 
         wanted = load_scenario(scenario)
+        if wanted.swarm is not None:
+            if wire or px4 is not None:
+                raise typer.BadParameter("a swarm flies in lockstep only: take --wire and --px4 away")
+            return run_swarm(
+                wanted,
+                scenario.parent,
+                seed,
+                out,
+                fidelity=fidelity,
+                workers=workers,
+                packets=packets,
+                quiet=json_output,
+                on_progress=_show,
+            )
+        if fidelity == "abstract":
+            raise typer.BadParameter("only a scenario with a section swarm has an abstract fidelity")
         out.mkdir(parents=True, exist_ok=True)
         log = out / LOG_NAME
         for older in (log, log.with_name(f"{LOG_NAME}.open")):

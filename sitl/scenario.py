@@ -19,6 +19,7 @@ from companion.settings import Settings
 from companion.yaml_source import load
 from sitl.dynamics import QuadrotorSettings
 from sitl.network import NetworkSettings
+from sitl.swarm.settings import SwarmSettings
 from sitl.wind import WindSettings
 from sitl.worlds.pillars import pillar_field
 from sitl.worlds.primitives import World
@@ -45,7 +46,7 @@ class Scenario(Settings):
     """One simulated flight."""
 
     profile: str
-    """Profile of the vehicle, relative to this file."""
+    """Profile of the vehicle, relative to this file; of the leader, if there is a swarm."""
 
     seed: int = Field(default=1, ge=0, le=2**63 - 1)
     """Everything random comes from it."""
@@ -70,6 +71,10 @@ class Scenario(Settings):
 
     vibration: bool = True
     """Shake the IMU while the motors run."""
+
+    swarm: SwarmSettings | None = None
+    """A leader, whose profile is `profile`, with followers. The scene then decides starts, headings, goal and
+    heights, `termination` what ends the flight."""
 
     world: WorldSettings
     operator: OperatorSettings = OperatorSettings()

@@ -148,6 +148,8 @@ class SwarmReferee:
         if len(hit):
             self.stop("obstacle", tuple(hit.tolist()))
             return True
+        if not len(self._firsts):
+            return False
         apart = before.p_world[self._firsts] - before.p_world[self._seconds]
         change = now.p_world[self._firsts] - now.p_world[self._seconds] - apart
         span = np.maximum(np.einsum("pk,pk->p", change, change), 1e-18)

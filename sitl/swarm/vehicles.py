@@ -104,6 +104,8 @@ def _member_profile(crew: Crew, scene: SwarmScene, number: int, T_world_start: P
             update={
                 "waypoints_m": waypoints,
                 "speed_mps": scene.speed_mps,
+                "wait_s": scene.wait_s,
+                "ramp_s": scene.ramp_s,
                 "waypoint_holds_s": scene.holds_s[:-1].tolist(),
                 "final_hold_s": float(scene.holds_s[-1]),
                 "land_when_finished": False,
