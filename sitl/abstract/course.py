@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from companion.control.leader.map_kernels import measure_distances
 from companion.control.leader.obstacle_map import ClearanceField
-from companion.control.leader.rrt import LocalPath, RrtPlanner, SearchStatus, length_of
-from companion.control.leader.settings import LeaderSettings, RrtSettings
+from companion.control.leader.rrt import LocalPath, RrtPlanner, SearchStatus
+from companion.control.leader.settings import LeaderSettings
 from companion.messages import FloatArray
 from sitl.abstract.field_kernels import block_columns
 from sitl.abstract.leader_kernels import N_LEADER_PARAMETERS
@@ -92,7 +92,7 @@ def flight_plane(scene: SwarmScene, settings: LeaderSettings) -> ClearanceField:
             cell *= 2.0
     # The corner lies on the lattice of cells, as that of the map which is made in flight.
     first = np.array([*np.floor((0.5 * (low + high) - 0.5 * side * cell) / cell), 0.0]).astype(np.int64)
-    corner = first[:2] * cell
+    corner = np.asarray(first[:2] * cell, np.float64)
     heights = np.array([scene.starts_world[0, 2], *scene.waypoints_world[:, 2]])
     world = scene.world.obstacles()
     blocked = np.zeros((side, side), np.uint8)

@@ -24,7 +24,7 @@ def _band_distance(kind: int, row: FloatArray, x: float, y: float, low: float, h
     if kind == BOX or (kind == CYLINDER and abs(row[5]) >= _UPRIGHT):
         end = row[2] + row[5] * row[6] if kind == CYLINDER else row[2]
         return distance_to_primitive(kind, row, x, y, min(max(0.5 * (row[2] + end), low), high))
-    layers = int(math.ceil((high - low) / _LAYER_M))
+    layers = math.ceil((high - low) / _LAYER_M)
     best = math.inf
     for layer in range(layers + 1):
         best = min(best, distance_to_primitive(kind, row, x, y, low + (high - low) * layer / layers))

@@ -8,8 +8,13 @@ import numpy as np
 from numpy.random import SeedSequence
 from numpy.typing import NDArray
 
-from companion.control.followers.laws_kernels import METHOD_IDS
-from companion.control.followers.layout_kernels import EGO_SIZE, MAX_ROWS, MEMORY_SIZE, NEIGHBOUR_SIZE
+from companion.control.followers.layout_kernels import (
+    EGO_SIZE,
+    MAX_ROWS,
+    MEMORY_SIZE,
+    METHOD_IDS,
+    NEIGHBOUR_SIZE,
+)
 from companion.control.followers.settings import FollowerSettings
 from companion.control.leader.settings import LeaderSettings
 from companion.geometry import rotation
@@ -32,9 +37,9 @@ from sitl.abstract.judging_kernels import (
 from sitl.abstract.leader_kernels import LEADER_WIDTH
 from sitl.abstract.perception_kernels import TRACK_WIDTH
 from sitl.abstract.settings import CONTROL_STEP_S, HISTORY, AbstractSettings
-from sitl.abstract.swarm_kernels import fly
+from sitl.abstract.swarm_kernels import Arrays, fly
 from sitl.dynamics import GRAVITY
-from sitl.dynamics_kernels import MEMORY_WIDTH, MOTION_WIDTH, P, Q, THRUST
+from sitl.dynamics_kernels import MEMORY_WIDTH, MOTION_WIDTH, THRUST, P, Q
 from sitl.swarm.record import End, TrialRecord
 from sitl.swarm.scene import SwarmScene
 from sitl.swarm.settings import TerminationSettings
@@ -135,7 +140,7 @@ def fly_abstract(
     trajectory = None
     if record:
         trajectory = SwarmTrajectory(
-            t=np.arange(last + 1) * CONTROL_STEP_S,
+            t=np.asarray(CONTROL_STEP_S * np.arange(last + 1), np.float64),
             p_world=trace[: last + 1, :, 0:3].copy(),
             v_world=trace[: last + 1, :, 3:6].copy(),
             q_world_body=trace[: last + 1, :, 6:10].copy(),
@@ -172,7 +177,7 @@ def _mean(sums: FloatArray, which: int, how_many: int) -> float:
     return float(sums[which] / sums[how_many]) if sums[how_many] > 0.0 else math.nan
 
 
-def _world(scene: SwarmScene) -> tuple[NDArray[np.generic], ...]:
+def _world(scene: SwarmScene) -> Arrays:
     world = scene.world.obstacles()
     number = len(scene.starts_world)
     return (
@@ -184,7 +189,7 @@ def _world(scene: SwarmScene) -> tuple[NDArray[np.generic], ...]:
     )
 
 
-def _motion(scene: SwarmScene) -> tuple[NDArray[np.generic], ...]:
+def _motion(scene: SwarmScene) -> Arrays:
     number = len(scene.starts_world)
     motion = np.zeros((number, MOTION_WIDTH))
     motion[:, P : P + 3] = scene.starts_world
@@ -203,7 +208,7 @@ def _motion(scene: SwarmScene) -> tuple[NDArray[np.generic], ...]:
     )
 
 
-def _views(number: int, settings: AbstractSettings) -> tuple[NDArray[np.generic], ...]:
+def _views(number: int, settings: AbstractSettings) -> Arrays:
     return (
         np.zeros((number, number, TRACK_WIDTH)),
         np.zeros((number, EGO_SIZE)),
@@ -215,7 +220,7 @@ def _views(number: int, settings: AbstractSettings) -> tuple[NDArray[np.generic]
     )
 
 
-def _route(scene: SwarmScene, course: Course) -> tuple[NDArray[np.generic], ...]:
+def _route(scene: SwarmScene, course: Course) -> Arrays:
     field = course.field
     return (
         scene.waypoints_world,

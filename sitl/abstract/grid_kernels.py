@@ -110,7 +110,7 @@ def _draw_sphere(
     first, last = 0, columns - 1
     if abs(elevation) + alpha < 0.5 * math.pi - 1e-6:
         half = math.asin(min(sine * distance / flat, 1.0))
-        first, last = int(math.floor((middle - half) / width)), int(math.floor((middle + half) / width))
+        first, last = math.floor((middle - half) / width), math.floor((middle + half) / width)
     for index in range(first, min(last, first + columns - 1) + 1):
         # The ray of the cell that passes nearest to the centre returns the nearest point, or none does.
         column = index % columns
@@ -168,7 +168,7 @@ def _draw_by_rays(
     first, last = 0, columns - 1
     if distance > disc_radius:
         middle, half = math.atan2(y, x), math.asin(disc_radius / distance)
-        first, last = int(math.floor((middle - half) / width)), int(math.floor((middle + half) / width))
+        first, last = math.floor((middle - half) / width), math.floor((middle + half) / width)
         last = min(last, first + columns - 1)
     for index in range(first, last + 1):
         column = index % columns

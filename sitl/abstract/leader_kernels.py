@@ -88,9 +88,7 @@ def _along_path(
         dx, dy = dx / left, dy / left
     else:
         dx, dy = 0.0, 0.0
-    find_nearest(
-        blocked, surface, first, cell, x, y, rules[REPULSION_DISTANCE] + rules[RADIUS], sectors
-    )
+    find_nearest(blocked, surface, first, cell, x, y, rules[REPULSION_DISTANCE] + rules[RADIUS], sectors)
     push_x, push_y = repulsion(
         sectors, rules[RADIUS], rules[REPULSION], rules[REPULSION_DISTANCE], rules[MAX_REPULSION]
     )

@@ -136,7 +136,9 @@ def move(
         for i in range(motion.shape[0]):
             for axis in range(3):
                 # Before the first command has arrived, vehicles hover.
-                setpoint[i, axis] = commands[(step - late) % commands.shape[0], i, axis] if step >= late else 0.0
+                setpoint[i, axis] = (
+                    commands[(step - late) % commands.shape[0], i, axis] if step >= late else 0.0
+                )
         advance(motion, loop, setpoint, motion[:, V : V + 3].copy(), wind, quadrotor)
 
 

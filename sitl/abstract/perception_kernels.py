@@ -2,7 +2,8 @@
 
 A follower's knowledge of another vehicle is a row of `TRACK_WIDTH` numbers: position and velocity in the
 world as measured, own position and velocity when they were, the time for which they hold, the time of the
-last sighting, sightings in a row, and whether it is known at all.
+last sighting, sightings in a row, whether it is known at all, and the errors of position and velocity in
+units of their standard deviation.
 
 Scalar arithmetic only, in the common subset of compilers for processors and graphics cards.
 """
@@ -18,19 +19,19 @@ from sitl.abstract.grid_kernels import AN_OBSTACLE, KNOWN, LEFT_OUT, IndexArray,
 from sitl.abstract.random_kernels import normal_pair, stream, uniform
 from sitl.abstract.sight_kernels import sees, up_of, yaw_of
 
-OWN_P, OWN_V, T_VALID, T_SEEN, STREAK, IS_KNOWN = 6, 9, 12, 13, 14, 15
-TRACK_WIDTH = 16
+OWN_P, OWN_V, T_VALID, T_SEEN, STREAK, IS_KNOWN, ERRORS = 6, 9, 12, 13, 14, 15, 16
+TRACK_WIDTH = 22
 
 _SIGHT_STREAM, _OWN_STREAM = 1, 2
-_BEHIND = -7.0
-
-MASK = np.uint8
+_DROPOUT_DRAW = 64
+_BEFORE_ALL = -1.0
+_NO_MEMORY_S = 1e-6
 
 
 @inlined
 def past(history: FloatArray, step: int, delay: int) -> int:
     """Return the row of the history that held `delay` steps ago; the first state before there was any."""
-    return max(step - delay, 0) % history.shape[0]
+    return int(max(step - delay, 0) % history.shape[0])
 
 
 @compiled(
@@ -63,7 +64,7 @@ def look_around(
         candidates: primitives that may be near, the first `count` of them.
         count: how many.
         parameters: see `sitl.abstract.layout_kernels`.
-        tracks: (n, 16) what i knows of each, changed in place.
+        tracks: (n, 22) what i knows of each, changed in place.
     """
     delay = int(parameters[place.NEIGHBOUR_DELAY])
     states = history[past(history, step, delay)]
@@ -85,7 +86,7 @@ def look_around(
         if seen:
             share = distance / parameters[place.SIGHT_RANGE]
             missed = parameters[place.DROPOUT] + parameters[place.DROPOUT_FAR] * share * share
-            seen = not (missed > 0.0 and uniform(chance, _SIGHT_STREAM + 62) < missed)
+            seen = not (missed > 0.0 and uniform(chance, _DROPOUT_DRAW) < missed)
         if not seen:
             track[STREAK] = 0.0
             if t_valid - track[T_SEEN] > parameters[place.COAST] - 1e-9:
@@ -94,17 +95,20 @@ def look_around(
         track[STREAK] += 1.0
         if track[STREAK] >= parameters[place.SIGHTINGS]:
             track[IS_KNOWN] = 1.0
-        a, b = normal_pair(chance, 0)
-        c, d = normal_pair(chance, 1)
-        e, f = normal_pair(chance, 2)
+        # Errors fade exponentially; those of a new neighbour, or without memory, are fresh.
+        gap = t_valid - track[T_SEEN] if track[STREAK] > 1.0 else math.inf
+        kept_p = math.exp(-gap / max(parameters[place.POSITION_MEMORY], _NO_MEMORY_S))
+        kept_v = math.exp(-gap / max(parameters[place.VELOCITY_MEMORY], _NO_MEMORY_S))
         sigma_p = parameters[place.POSITION_SIGMA] + parameters[place.POSITION_SIGMA_FAR] * distance
         sigma_v = parameters[place.VELOCITY_SIGMA] + parameters[place.VELOCITY_SIGMA_FAR] * distance
-        track[0] = states[j, 0] + sigma_p * a
-        track[1] = states[j, 1] + sigma_p * b
-        track[2] = states[j, 2] + sigma_p * c
-        track[3] = states[j, 3] + sigma_v * d
-        track[4] = states[j, 4] + sigma_v * e
-        track[5] = states[j, 5] + sigma_v * f
+        for pair in range(3):
+            first, second = normal_pair(chance, pair)
+            for part in range(2):
+                axis = 2 * pair + part
+                kept, sigma = (kept_p, sigma_p) if axis < 3 else (kept_v, sigma_v)
+                fresh = math.sqrt(1.0 - kept * kept) * (first if part == 0 else second)
+                track[ERRORS + axis] = kept * track[ERRORS + axis] + fresh
+                track[axis] = states[j, axis] + sigma * track[ERRORS + axis]
         for axis in range(6):
             track[OWN_P + axis] = states[i, axis]
         track[T_VALID] = t_valid
@@ -132,7 +136,7 @@ def look_at_obstacles(
     column_edges: FloatArray,
     row_edges: FloatArray,
     tracks: FloatArray,
-    roles: np.ndarray[tuple[int], np.dtype[MASK]],
+    roles: np.ndarray[tuple[int], np.dtype[np.uint8]],
     up_heading: FloatArray,
     ranges: FloatArray,
 ) -> None:
@@ -185,7 +189,7 @@ def observe(
         step: number of the control step.
         history: (h, n, 10) recent states.
         parameters: see `sitl.abstract.layout_kernels`.
-        tracks: (n, 16) what i knows of each.
+        tracks: (n, 22) what i knows of each.
         ego: (10,) out: position, velocity in the heading frame, heading, height, step s, seconds since
             anybody was perceived; the last is kept here from step to step.
         neighbours: (k, 8) out: relative position and velocity in the heading frame, 1, number; nearest
@@ -217,7 +221,7 @@ def observe(
             neighbours[row, column] = 0.0
     now = step * dt
     most = min(int(parameters[place.NEIGHBOUR_COUNT]), neighbours.shape[0])
-    filled, least, least_j = 0, _BEHIND, -1
+    filled, least, least_j = 0, _BEFORE_ALL, -1
     while filled < most:
         # The next nearest after the one before, so that no order needs to be kept.
         best, best_j = math.inf, -1
@@ -244,12 +248,8 @@ def observe(
             )  # fmt: skip
             _put(row_of, 3, track[3] - vx, track[4] - vy, track[5] - vz, cosine, sine)
         else:
-            _put(
-                row_of, 0, track[0] - track[6], track[1] - track[7], track[2] - track[8], cosine, sine
-            )
-            _put(
-                row_of, 3, track[3] - track[9], track[4] - track[10], track[5] - track[11], cosine, sine
-            )
+            _put(row_of, 0, track[0] - track[6], track[1] - track[7], track[2] - track[8], cosine, sine)
+            _put(row_of, 3, track[3] - track[9], track[4] - track[10], track[5] - track[11], cosine, sine)
         row_of[6] = 1.0
         row_of[7] = best_j
         filled += 1

@@ -35,13 +35,17 @@ class PerceptionSettings(Settings):
     ego_delay_s: float = Field(default=0.1, ge=0.0, le=_LONGEST_DELAY_S)
     """Age of the own motion, where neighbours are not predicted to now; otherwise it is that of now."""
     position_sigma_m: float = Field(default=0.02, ge=0.0, le=2.0)
-    """Standard deviation of each component of a neighbour's position, white from scan to scan."""
+    """Standard deviation of each component of a neighbour's position."""
     position_sigma_per_m: float = Field(default=0.0, ge=0.0, le=0.2)
     """What is added to it for each metre of distance, m."""
+    position_memory_s: float = Field(default=0.0, ge=0.0, le=60.0)
+    """Time after which such an error has faded to 1/e; 0: a new one with every scan."""
     velocity_sigma_mps: float = Field(default=0.05, ge=0.0, le=2.0)
     """Standard deviation of each component of a neighbour's velocity."""
     velocity_sigma_per_m: float = Field(default=0.0, ge=0.0, le=0.2)
     """What is added to it for each metre of distance, m/s."""
+    velocity_memory_s: float = Field(default=0.0, ge=0.0, le=60.0)
+    """Time after which such an error has faded to 1/e."""
     ego_velocity_sigma_mps: float = Field(default=0.0, ge=0.0, le=1.0)
     """Standard deviation of each component of the own velocity."""
     range_m: float = Field(default=10.0, gt=0.0, le=100.0)
@@ -53,7 +57,7 @@ class PerceptionSettings(Settings):
     body_radius_m: float = Field(default=0.15, gt=0.0, le=1.0)
     """Of the ball that a vehicle is to the others' sight."""
     free_rays: int = Field(default=2, ge=1, le=5)
-    """Of five rays, to the centre and four points of the rim, so many must be free for a vehicle to be seen."""
+    """Of five rays, to the centre and to four points of the rim, so many must be free to see a vehicle."""
     dropout: float = Field(default=0.0, ge=0.0, lt=1.0)
     """Share of scans in which a visible neighbour is missed."""
     dropout_far: float = Field(default=0.0, ge=0.0, le=1.0)
@@ -110,7 +114,7 @@ class AbstractSettings(Settings):
     grid: GridSettings = GridSettings()
     """The obstacle grid."""
     rays_per_cell: int = Field(default=2, ge=1, le=8)
-    """Rays across a cell of the grid in each direction, for tilted rods and boxes; pillars and balls are exact."""
+    """Rays across a cell of the grid each way, for tilted rods and boxes; pillars and balls are exact."""
     dynamics: Literal["quadrotor", "lag"] = "quadrotor"
     """`quadrotor` flies as in full fidelity, `lag` with a first-order lag of the velocity."""
     quadrotor: QuadrotorSettings = QuadrotorSettings()
@@ -162,6 +166,8 @@ class AbstractSettings(Settings):
             place.COAST: seen.coast_s,
             place.POSITION_SIGMA: seen.position_sigma_m,
             place.POSITION_SIGMA_FAR: seen.position_sigma_per_m,
+            place.POSITION_MEMORY: seen.position_memory_s,
+            place.VELOCITY_MEMORY: seen.velocity_memory_s,
             place.VELOCITY_SIGMA: seen.velocity_sigma_mps,
             place.VELOCITY_SIGMA_FAR: seen.velocity_sigma_per_m,
             place.EGO_VELOCITY_SIGMA: seen.ego_velocity_sigma_mps,
@@ -199,7 +205,10 @@ class AbstractSettings(Settings):
 
     def packed_grid(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
         """Return what `grid_kernels.draw_grid` wants: limits, rays by azimuth and elevation, edges."""
-        low, high = math.radians(self.grid.lowest_elevation_deg), math.radians(self.grid.highest_elevation_deg)
+        low, high = (
+            math.radians(self.grid.lowest_elevation_deg),
+            math.radians(self.grid.highest_elevation_deg),
+        )
         seen = self.perception
         limits = np.array(
             [

@@ -5,8 +5,6 @@ Scalar arithmetic only, in the common subset of compilers for processors and gra
 
 import math
 
-import numpy as np
-
 from companion.compiled import compiled, inlined
 from companion.messages import FloatArray
 from sitl.abstract.grid_kernels import IndexArray
@@ -39,7 +37,7 @@ def _passes_near(
     along = min(max(x * ex + y * ey, 0.0), length)
     x, y = x - along * ex, y - along * ey
     reach = disc[2] + margin
-    return x * x + y * y <= reach * reach
+    return bool(x * x + y * y <= reach * reach)
 
 
 @compiled(

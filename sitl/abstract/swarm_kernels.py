@@ -6,6 +6,7 @@ A step has five parts that others, such as a training environment, may put toget
 """
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,16 +15,18 @@ from companion.compiled import compiled
 from companion.control.followers.laws_kernels import steer
 from companion.messages import FloatArray
 from sitl.abstract import layout_kernels as place
-from sitl.abstract.grid_kernels import IndexArray, cull
+from sitl.abstract.grid_kernels import cull
 from sitl.abstract.judging_kernels import FLYING, add_sample, judge
 from sitl.abstract.leader_kernels import lead
 from sitl.abstract.motion_kernels import move, room_at, touches
 from sitl.abstract.perception_kernels import IS_KNOWN, T_SEEN, look_around, look_at_obstacles, observe, past
 from sitl.dynamics_kernels import P, Q, V
 
-_F1, _F2, _F3, _F4 = "float64[::1]", "float64[:,::1]", "float64[:,:,::1]", "float64[:,:,:,::1]"
-_I1, _I2 = "int32[::1]", "int32[:,::1]"
-_L1, _B1, _B2 = "int64[::1]", "uint8[::1]", "uint8[:,::1]"
+Arrays = tuple[Any, ...]
+"""A group of arrays of different kinds, told by one of the types below."""
+
+_F1, _F2, _F3 = "float64[::1]", "float64[:,::1]", "float64[:,:,::1]"
+_I1, _I2, _L1, _B1 = "int32[::1]", "int32[:,::1]", "int64[::1]", "uint8[::1]"
 
 WORLD = f"Tuple(({_I1}, {_F2}, {_F2}, {_I2}, {_L1}))"
 """kinds (m,), rows (m, 8), discs (m, 3) of the obstacles; candidates (n, m), how many of them (n,)."""
@@ -33,7 +36,7 @@ MOTION = f"Tuple(({_F3}, {_F3}, {_F2}, {_F2}, {_F2}, {_F2}, {_F2}, {_F1}, {_B1})
 """history (h, n, 10), commands (h, n, 3), gusts (n, 3), motion (n, 19), loop (n, 6), setpoint (n, 5), wind
 (n, 3), room (n,), touching (n,)."""
 VIEWS = f"Tuple(({_F3}, {_F2}, {_F3}, {_F3}, {_F2}, {_B1}, {_F1}))"
-"""tracks (n, n, 16), ego (n, 10), neighbours (n, k, 8), ranges (n, 72, 12), memory (n, ...), roles (n,),
+"""tracks (n, n, 22), ego (n, 10), neighbours (n, k, 8), ranges (n, 72, 12), memory (n, ...), roles (n,),
 up (3,)."""
 ROUTE = (
     f"Tuple(({_F2}, {_F1}, {_F3}, {_F3}, {_F1}, float32[:,::1], uint8[:,::1], float32[:,:,::1], {_L1}, {_F1},"
@@ -47,10 +50,10 @@ granted: see `lead`."""
 def perceive(
     seed: np.uint64,
     step: int,
-    world: tuple[IndexArray, FloatArray, FloatArray, NDArray[np.int32], NDArray[np.int64]],
-    grid: tuple[FloatArray, ...],
-    motion: tuple[FloatArray, ...],
-    views: tuple[FloatArray, ...],
+    world: Arrays,
+    grid: Arrays,
+    motion: Arrays,
+    views: Arrays,
     parameters: FloatArray,
 ) -> None:
     """Give every follower what it perceives at a step; see the types' descriptions for the arguments."""
@@ -76,7 +79,7 @@ def perceive(
 
 
 @compiled(f"float64(int64, {VIEWS}, {_F1})")
-def leader_unseen(step: int, views: tuple[FloatArray, ...], parameters: FloatArray) -> float:
+def leader_unseen(step: int, views: Arrays, parameters: FloatArray) -> float:
     """Return for how long no follower has perceived the leader, s, as far as scans have told."""
     tracks = views[0]
     newest = -math.inf
@@ -84,14 +87,14 @@ def leader_unseen(step: int, views: tuple[FloatArray, ...], parameters: FloatArr
         newest = max(newest, tracks[i, 0, T_SEEN])
     period = int(parameters[place.SCAN_STEPS])
     latest = (step - step % period - parameters[place.NEIGHBOUR_DELAY]) * parameters[place.CONTROL_STEP]
-    return latest - newest
+    return float(latest - newest)
 
 
 @compiled(f"void(int64, {WORLD}, {MOTION}, {_F1})")
 def settle(
     step: int,
-    world: tuple[IndexArray, FloatArray, FloatArray, NDArray[np.int32], NDArray[np.int64]],
-    motion: tuple[FloatArray, ...],
+    world: Arrays,
+    motion: Arrays,
     parameters: FloatArray,
 ) -> None:
     """Take down where everybody is at a step, how near to obstacles, and who has touched one."""
@@ -121,11 +124,11 @@ def fly(
     seed: np.uint64,
     method: int,
     most_steps: int,
-    world: tuple[IndexArray, FloatArray, FloatArray, NDArray[np.int32], NDArray[np.int64]],
-    grid: tuple[FloatArray, ...],
-    motion: tuple[FloatArray, ...],
-    views: tuple[FloatArray, ...],
-    route: tuple[FloatArray, ...],
+    world: Arrays,
+    grid: Arrays,
+    motion: Arrays,
+    views: Arrays,
+    route: Arrays,
     parameters: FloatArray,
     quadrotor: FloatArray,
     law: FloatArray,

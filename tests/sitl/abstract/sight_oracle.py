@@ -8,9 +8,7 @@ from sitl.abstract.settings import PerceptionSettings
 from sitl.worlds.primitives import Sphere, World
 
 
-def is_seen(
-    world: World, p: FloatArray, q: FloatArray, i: int, j: int, settings: PerceptionSettings
-) -> bool:
+def is_seen(world: World, p: FloatArray, q: FloatArray, i: int, j: int, settings: PerceptionSettings) -> bool:
     """Return whether vehicle i sees vehicle j among vehicles at p (n, 3) with attitudes q (n, 4)."""
     line = p[j] - p[i]
     distance = float(np.linalg.norm(line))
@@ -26,9 +24,7 @@ def is_seen(
     radius = settings.body_radius_m
     targets = p[j] + radius * np.array([0 * line, across, -across, above, -above])
     others = [k for k in range(len(p)) if k not in (i, j)]
-    balls = World.of(
-        [Sphere(centre_world_m=(p[k, 0], p[k, 1], p[k, 2]), radius_m=radius) for k in others]
-    )
+    balls = World.of([Sphere(centre_world_m=(p[k, 0], p[k, 1], p[k, 2]), radius_m=radius) for k in others])
     everything = world.obstacles().joined(balls)
     rays = targets - p[i]
     lengths = np.linalg.norm(rays, axis=1)

@@ -127,7 +127,8 @@ def test_too_low_too_late_and_too_far_apart_are_told_apart() -> None:
     low[2, 2] = 0.45
     assert _fly(replace(scene, starts_world=low)).record.end == "altitude"
     late = _fly(replace(scene, timeout_s=3.0)).record
-    assert (late.end, late.t_end_s) == ("timeout", pytest.approx(3.0))
+    assert late.end == "timeout"
+    assert late.t_end_s == pytest.approx(3.0)
     close = TerminationSettings(gathered_m=0.5)
     apart = fly_abstract(scene, "flock", FollowerSettings(), AbstractSettings(), termination=close).record
     assert apart.end == "scattered"

@@ -81,7 +81,7 @@ def test_nothing_slips_through_an_obstacle_within_a_step() -> None:
     rng = np.random.default_rng(2)
     found = []
     for _ in range(300):
-        start, end = rng.uniform(-1.0, 1.0, 3) + [0.0, 0.0, 1.0], rng.uniform(-1.0, 1.0, 3) + [0.0, 0.0, 1.0]
+        start, end = rng.uniform([-1.0, -1.0, 0.0], [1.0, 1.0, 2.0], (2, 3))
         along = np.linspace(start, end, 400)
         expected = bool(np.any(world.clearance(along) < 0.2))
         margin = abs(float(world.clearance(along).min()) - 0.2)

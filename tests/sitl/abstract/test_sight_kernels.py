@@ -10,9 +10,7 @@ from sitl.worlds.sites import build_site
 from tests.sitl.abstract.sight_oracle import is_seen
 
 
-def _sees(
-    world: World, p: FloatArray, q: FloatArray, i: int, j: int, settings: PerceptionSettings
-) -> bool:
+def _sees(world: World, p: FloatArray, q: FloatArray, i: int, j: int, settings: PerceptionSettings) -> bool:
     world = world.obstacles()
     states = np.zeros((len(p), 10))
     states[:, :3], states[:, 6:] = p, q
