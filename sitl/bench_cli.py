@@ -224,6 +224,31 @@ def flights(
     conclude(body, json_output)
 
 
+@app.command(epilog="Example: sitl bench swarm --sites pillars_5m,forest --followers 4")
+def swarm(
+    sites: Annotated[str, typer.Option(help="Worlds, separated by commas.")] = "pillars_5m",
+    followers: Annotated[int, typer.Option(min=1, max=20, help="How many follow.")] = 4,
+    trials: Annotated[int, typer.Option(min=1, help="Flights of each process.")] = 50,
+    processes: Annotated[int, typer.Option(min=1, help="Measured with one process and with so many.")] = 2,
+    json_output: AsJson = False,
+) -> None:
+    """Steps of UAVs a second in abstract swarms, scenes and the leader's routes included."""
+
+    def body() -> tuple[Result, ExitCode]:
+        from sitl.bench.swarm_speed import measure
+        from sitl.worlds.sites import SITE_NAMES
+
+        shown = (lambda row: None) if json_output else Table().show
+        rows: list[dict[str, object]] = []
+        for site in names(sites, SITE_NAMES, "site"):
+            for number in dict.fromkeys((1, processes)):
+                rows.append(measure(site, followers, trials, number))
+                shown(rows[-1])
+        return {"rows": rows}, ExitCode.OK
+
+    conclude(body, json_output)
+
+
 def _keep_output_for_us() -> None:
     """Send to the error output what libraries in C++ print, some of it as late as at exit."""
     try:
