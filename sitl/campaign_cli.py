@@ -12,7 +12,9 @@ from companion.exit_codes import ExitCode
 
 if TYPE_CHECKING:
     from sitl.campaign.runner import Execute
+    from sitl.swarm.record import TrialRecord
 
+_LOGS = "logs"
 _COLUMNS = (("MP", 1, 6), ("FR", 2, 7), ("MS", 2, 6), ("AL", 2, 6), ("MDO", 2, 7))
 
 
@@ -55,6 +57,7 @@ def campaign(
         from sitl.campaign.report import write_report
         from sitl.campaign.runner import run_campaign
         from sitl.campaign.tasks import selection_of
+        from sitl.campaign.trial_log import write_failed_logs
 
         wanted = load_definition(definition)
         changes = {"trials": trials, "fidelity": fidelity}
@@ -77,7 +80,9 @@ def campaign(
             raise
         finally:
             line.close()
-        files = write_report(out, records, wanted)
+        if conditions.rules.fidelity == "abstract":
+            write_failed_logs(out / _LOGS, conditions, records, wanted.failed_logs)
+        files = write_report(out, records, wanted, functools.partial(_log_of, out))
         rows = [case.as_dict() for case in summarise(records)]
         if not json_output:
             _print_rows(rows)
@@ -85,6 +90,40 @@ def campaign(
         return {"rows": rows, "files": [str(file) for file in files]}, ExitCode.OK
 
     conclude(body, json_output)
+
+
+def trial(
+    campaign_folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a campaign's results.")],
+    world: Annotated[str, typer.Option(help="Name of the world.")],
+    method: Annotated[str, typer.Option(help="Name of the method.")],
+    followers: Annotated[int, typer.Option(min=1, max=20, help="Size of the swarm without its leader.")],
+    number: Annotated[int, typer.Option("--trial", min=0, help="Number of the trial, from 0.")],
+    out: Annotated[
+        Path, typer.Option(help="Log to write, ending in .mcap; a folder of logs in full fidelity.")
+    ],
+    json_output: AsJson = False,
+) -> None:
+    """Fly one trial of a campaign again, exactly as it was, and leave its log."""
+
+    def body() -> tuple[Result, ExitCode]:
+        from sitl.campaign.again import fly_again
+
+        record, logs = fly_again(campaign_folder, (world, method, followers, number), out)
+        if not json_output:
+            typer.echo(f"{record.end} after {record.t_end_s:.1f} s: {', '.join(map(str, logs))}")
+        result = {"end": record.end, "ended_by": list(record.ended_by), "t_end_s": record.t_end_s}
+        return result | {"logs": [str(log) for log in logs]}, ExitCode.OK
+
+    conclude(body, json_output)
+
+
+def _log_of(folder: Path, record: "TrialRecord") -> str | None:
+    """Return where a trial's log lies in a campaign's folder, if it is there."""
+    from sitl.campaign.journal import key_of
+    from sitl.campaign.trial_log import log_stem
+
+    name = f"{_LOGS}/{log_stem(key_of(record))}.mcap"
+    return name if (folder / name).exists() else None
 
 
 def _executor(workers: int | None, ray: str | None) -> "Execute":

@@ -8,7 +8,7 @@ from typing import Any
 from pydantic import Field, ValidationError
 
 from companion import __version__
-from companion.config import load_profile
+from companion.config import Profile, load_profile
 from companion.control.followers.settings import METHODS, FollowerSettings
 from companion.errors import CompanionError, LogError, ProfileError
 from companion.settings import Settings
@@ -43,6 +43,10 @@ class Rules(Settings):
     """Perception and motion in the abstract fidelity."""
     obstacle_distance_cap_m: float
     """Cap of MDO."""
+    leader_profile: Profile | None = None
+    """What the leader flies with; in full fidelity only."""
+    follower_profile: Profile | None = None
+    """What every follower flies with, but for the law, its gains and the number of neighbours; likewise."""
 
 
 class Variant(Settings):
@@ -104,6 +108,7 @@ def conditions_of(definition: CampaignDefinition, path: Path) -> Conditions:
             variants[label] = Variant(
                 method=entry.method_name, observable_neighbours=count, follower=follower
             )
+    full, folder = definition.fidelity == "full", path.parent
     return Conditions(
         rules=Rules(
             seed=definition.seed,
@@ -112,6 +117,8 @@ def conditions_of(definition: CampaignDefinition, path: Path) -> Conditions:
             swarm=definition.swarm,
             abstract=AbstractSettings.of(definition.perception),
             obstacle_distance_cap_m=definition.obstacle_distance_cap_m,
+            leader_profile=load_profile(folder / definition.leader_profile) if full else None,
+            follower_profile=load_profile(folder / definition.swarm.follower_profile) if full else None,
         ),
         worlds={world.name: world for world in definition.world_entries},
         variants=variants,

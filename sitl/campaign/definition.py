@@ -79,6 +79,10 @@ class CampaignDefinition(Settings):
     """Errors and delays of the abstract fidelity: as published, or as fitted to full runs."""
     obstacle_distance_cap_m: float = Field(default=4.0, gt=0.0, le=100.0)
     """MDO averages only over moments with a surface nearer than this."""
+    failed_logs: int = Field(default=1, ge=0, le=1000)
+    """Of each case, so many failed trials are flown again in abstract fidelity to leave a log each."""
+    leader_profile: str = Field(default="sitl_swarm_leader.yaml", min_length=1, max_length=256)
+    """Profile of the leader in full fidelity, relative to this file."""
     swarm: SwarmSettings = SwarmSettings()
     """Start, leader and rules; `followers` counts only where the campaign does not say."""
 

@@ -20,6 +20,10 @@ from sitl.swarm.settings import SwarmSettings
 
 def fly_scenes(task: SceneTask) -> list[TrialRecord]:
     """Fly every method in every scene of a task; equal tasks give equal records, wherever they are done."""
+    if task.rules.fidelity == "full":
+        from sitl.campaign.full_trials import fly_scenes_fully
+
+        return fly_scenes_fully(task)
     prepare()
     records = []
     for trial in task.trials:

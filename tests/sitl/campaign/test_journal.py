@@ -10,7 +10,7 @@ import pytest
 from companion.directories import BusyError
 from companion.errors import LogError
 from sitl.campaign.journal import JOURNAL_NAME, key_of, opened, read_journal
-from tests.sitl.campaign.made_up_trials import RECORD, made_up
+from tests.sitl.campaign.varied_trials import RECORD, made_up
 
 
 def test_trials_come_back_as_they_were_written(tmp_path: Path) -> None:
@@ -48,7 +48,7 @@ def test_a_process_killed_while_it_writes_loses_nothing_that_it_had_added(tmp_pa
     program = (
         "from pathlib import Path\n"
         "from sitl.campaign.journal import opened\n"
-        "from tests.sitl.campaign.made_up_trials import made_up\n"
+        "from tests.sitl.campaign.varied_trials import made_up\n"
         f"with opened(Path({str(tmp_path)!r})) as journal:\n"
         "    for number in range(100_000):\n"
         "        journal.add([made_up(number)])\n"

@@ -6,7 +6,7 @@ import pytest
 
 from companion.errors import LogError
 from sitl.campaign.store import TABLE_NAME, read_trials, write_trials
-from tests.sitl.campaign.made_up_trials import made_up
+from tests.sitl.campaign.varied_trials import made_up
 
 
 def test_trials_come_back_from_the_table(tmp_path: Path) -> None:
