@@ -66,5 +66,7 @@ class SwarmSettings(Settings):
     """Followers begin up to this far above or below the leader."""
     goal_distance_m: float = Field(default=30.0, ge=2.0, le=500.0)
     """From the middle of the start to the goal, in a random direction, where the world names no waypoints."""
+    waypoints_m: list[Range] | None = Field(default=None, min_length=1, max_length=20)
+    """The leader's way in open country instead, from the middle of the start; the last point is the goal."""
     leader: LeaderBehaviourSettings = LeaderBehaviourSettings()
     termination: TerminationSettings = TerminationSettings()
