@@ -15,6 +15,7 @@ from sitl.bench_cli import app as bench_app
 from sitl.campaign_cli import campaign, trial
 from sitl.odometry_peer_cli import odometry_peer
 from sitl.swarm_cli import run_swarm
+from sitl.tune_cli import tune
 from sitl.world_cli import world
 
 if TYPE_CHECKING:
@@ -41,6 +42,9 @@ app.command(
     epilog="Example: sitl trial runs/campaign --world pillars_5m --method flock --followers 4 --trial 17 "
     "--out trial_17.mcap"
 )(trial)
+app.command(
+    epilog="Example: sitl tune pacnav --target paper --budget 300 --out field_configs/follower_pacnav_T1.yaml"
+)(tune)
 app.command(
     "odometry-peer", epilog="Example: sitl odometry-peer field_configs/sitl_uav_leader_external.yaml"
 )(odometry_peer)

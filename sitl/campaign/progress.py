@@ -19,24 +19,26 @@ _STEPS = 20
 class ProgressLine:
     """A bar on a terminal; elsewhere a line for every twentieth of the work."""
 
-    def __init__(self, title: str) -> None:
+    def __init__(self, title: str, unit: str = "trials") -> None:
         """Prepare a line on the error output; `show` draws it."""
         self._title = title
+        self._unit = unit
         self._console = Console(stderr=True)
         self._bar: Bar | None = None
         self._task = TaskID(0)
         self._told = -1
 
-    def show(self, progress: Progress) -> None:
-        """Show how far the campaign is."""
+    def show(self, progress: Progress, remark: str = "") -> None:
+        """Show how far the campaign is, and a remark."""
         if self._console.is_terminal:
-            self._draw(progress)
+            self._draw(progress, remark)
             return
         step = _STEPS * progress.done // max(progress.total, 1)
         if step > self._told:
             kept = f", {progress.kept} of them before" if self._told < 0 and progress.kept else ""
             self._told = step
-            text = f"{self._title}: {progress.done} of {progress.total} trials{kept}"
+            text = f"{self._title}: {progress.done} of {progress.total} {self._unit}{kept}"
+            text += f", {remark}" if remark else ""
             self._console.print(text, markup=False, highlight=False, soft_wrap=True)
 
     def close(self) -> None:
@@ -45,7 +47,7 @@ class ProgressLine:
             self._bar.stop()
             self._bar = None
 
-    def _draw(self, progress: Progress) -> None:
+    def _draw(self, progress: Progress, remark: str) -> None:
         if self._bar is None:
             self._bar = Bar(
                 TextColumn("{task.description}"),
@@ -63,4 +65,5 @@ class ProgressLine:
                 self._title, total=progress.total - progress.kept, completed=progress.done - progress.kept
             )
             self._bar.start()
-        self._bar.update(self._task, completed=progress.done - progress.kept)
+        title = f"{self._title}, {remark}" if remark else self._title
+        self._bar.update(self._task, completed=progress.done - progress.kept, description=title)

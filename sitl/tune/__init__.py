@@ -1,0 +1,1 @@
+"""Tuning of followers' gains on scenes that no campaign tests with."""
