@@ -98,7 +98,7 @@ class TrackingSettings(Settings):
     """...or this, when a lost one is found again."""
     inactive_s: float = Field(default=0.5, gt=0.0, le=10.0)
     """t_inactive: an unobserved track is carried on as current for this long."""
-    max_coast_sigma_m: float = Field(default=0.15, gt=0.0, le=20.0)
+    max_coast_sigma_m: float = Field(default=0.125, gt=0.0, le=20.0)
     """Unobserved, it is relied on only while no standard deviation of its position exceeds this."""
     last_seen_s: float = Field(default=10.0, ge=0.0, le=30.0)
     """A validated one stays for this much longer as 'last seen' and takes its number up again when found."""
@@ -160,7 +160,7 @@ class TrackingSettings(Settings):
     """A candidate that went this far, beyond doubt and not beside anything solid, flies..."""
     min_moving_speed: float = Field(default=0.25, ge=0.0, le=10.0)
     """...if it is also this fast, m/s."""
-    moved_updates: int = Field(default=5, ge=1, le=100)
+    moved_updates: int = Field(default=4, ge=1, le=100)
     """Observations that it takes to prove motion."""
     moved_sigmas: float = Field(default=5.0, ge=0.0, le=50.0)
     """The distance must be so many of its standard deviations."""

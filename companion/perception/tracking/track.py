@@ -75,7 +75,7 @@ class Track:
         self.track_id = track_id
         self.t_born_ns = t_ns
         self.known = False  # whether it was ever taken for a UAV
-        self.hidden = False  # whether what stands before it explains that it is not seen
+        self.expected = False  # whether it came into sight where one that was lost might have
         self._settings = settings
         self._begin(t_ns, cluster, z_map, R)
         self.judge()
@@ -107,6 +107,11 @@ class Track:
         """Return whether its velocity is known well."""
         P = self.motion.covariance
         return bool(max(P[3, 3], P[4, 4], P[5, 5]) <= _SETTLED_SPEED_SIGMA**2)
+
+    @property
+    def is_known_when_dim(self) -> bool:
+        """Return whether it is a UAV, or probably one that was lost."""
+        return self.proof.validated or (self.expected and self.proof.free >= 0.0)
 
     @property
     def is_still(self) -> bool:

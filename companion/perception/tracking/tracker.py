@@ -154,6 +154,7 @@ class NeighbourTracker:
             track.proof.free = evidence
         elif before is not None:
             track.proof.encourage()
+            track.expected = True
         self._tracks.append(track)
         self._next_id += 1
 
@@ -198,8 +199,8 @@ class NeighbourTracker:
         dim = np.zeros(len(offered), np.bool_)
         if settings.tape is Tape.REFLECTIVE and settings.proof_of_flight:
             dim = np.array([clusters[j].bright == 0 for j in offered], np.bool_)
-        # Only who has proved to be a UAV is known by its dim parts.
-        banned = np.outer([not track.proof.validated for track in tracks], dim)
+        # Only who is a UAV, or probably one that was lost, is known by its dim parts.
+        banned = np.outer([not track.is_known_when_dim for track in tracks], dim)
         ages = [clusters[j].age_s for j in offered]
         pairs = self._pairs(tracks, [measured[j] for j in offered], ages, self._gate, banned)
         matches = [(tracks[i], offered[k]) for i, k in pairs]
