@@ -6,6 +6,7 @@ send and knows whom to serve.
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -183,10 +184,7 @@ class LivoxEmulator:
         return t_sensor_ns >= 0 and self.work_state(self.boot_host_ns + t_sensor_ns) is WorkState.SAMPLING
 
     def _destination(self, key: Key) -> tuple[str, int] | None:
-        address = protocol.parse_stream_address(self._device[key])
-        if address.ip == "0.0.0.0" or address.port == 0:
-            return None
-        return address.ip, address.port
+        return _address(self._device[key])
 
     def _joined(self, slots: PointSlots) -> PointSlots:
         """Return the slots kept from the last call followed by `slots`, if they are consecutive."""
@@ -257,6 +255,15 @@ class LivoxEmulator:
         if len(answer) > _MAX_BODY_SIZE:
             return protocol.build_query_answer(ReturnCode.WRONG_LENGTH, [])
         return answer
+
+
+@lru_cache(maxsize=64)
+def _address(value: bytes) -> tuple[str, int] | None:
+    """Return where a stream goes according to its parameter, None for nowhere."""
+    address = protocol.parse_stream_address(value)
+    if address.ip == "0.0.0.0" or address.port == 0:
+        return None
+    return address.ip, address.port
 
 
 def _part(slots: PointSlots, start: int, end: int) -> PointSlots:

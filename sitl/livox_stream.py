@@ -21,7 +21,12 @@ from sitl.slots import SLOT_PERIOD_NS, SLOTS_PER_PACKET, InertialSlot, PointSlot
 
 TIME_INTERVAL = (SLOTS_PER_PACKET - 1) * SLOT_PERIOD_NS // TIME_INTERVAL_UNIT_NS
 _CHECKED_FROM = 28
-_CRC_AT = 24
+_HEAD = struct.Struct("<BHHHHBBB12xI")
+_VALUES = struct.Struct("<6f")
+_PACKET_DTYPES = {
+    kind: np.dtype([("header", HEADER_DTYPE), ("points", points, (SLOTS_PER_PACKET,))])
+    for kind, points in POINT_DTYPES.items()
+}
 _FULL_TURN = 36_000
 
 
@@ -44,8 +49,7 @@ def encode_points(
     if total % SLOTS_PER_PACKET:
         raise ValueError(f"{total} slots do not fill packets of {SLOTS_PER_PACKET}")
     n = total // SLOTS_PER_PACKET
-    point_dtype = POINT_DTYPES[data_type]
-    packet_dtype = np.dtype([("header", HEADER_DTYPE), ("points", point_dtype, (SLOTS_PER_PACKET,))])
+    packet_dtype = _PACKET_DTYPES[data_type]
     packets = np.zeros(n, dtype=packet_dtype)
     header = packets["header"]
     steps = np.arange(n, dtype=np.int64)
@@ -61,28 +65,22 @@ def encode_points(
     _fill(points, slots.points_lidar.reshape(n, SLOTS_PER_PACKET, 3), data_type)
     points["reflectivity"] = slots.reflectivity.reshape(n, SLOTS_PER_PACKET)
     points["tag"] = slots.tags.reshape(n, SLOTS_PER_PACKET)
-    content = packets.tobytes()
     size = packet_dtype.itemsize
-    return [_sealed(content[at : at + size]) for at in range(0, n * size, size)]
+    starts = range(0, n * size, size)
+    checked = packets.view(np.uint8).data
+    header["crc32"] = [zlib.crc32(checked[at + _CHECKED_FROM : at + size]) for at in starts]
+    content = packets.tobytes()
+    return [content[at : at + size] for at in starts]
 
 
 def encode_inertial(slot: InertialSlot, counter: int, time_type: int, clock_error_ns: int = 0) -> bytes:
     """Return the packet of one inertial sample; the specific force leaves in units of g."""
-    header = np.zeros(1, dtype=HEADER_DTYPE)
-    values = struct.pack("<6f", *slot.gyro_imu, *(slot.accel_imu / STANDARD_GRAVITY_M_S2))
-    header["length"] = HEADER_SIZE + len(values)
-    header["dot_num"] = 1
-    header["udp_cnt"] = counter & 0xFFFF
-    header["data_type"] = DataType.IMU
-    header["time_type"] = time_type
-    header["timestamp"] = (slot.t_sensor_ns + clock_error_ns) % (1 << 64)
-    return _sealed(header.tobytes() + values)
-
-
-def _sealed(packet: bytes) -> bytes:
-    """Return the packet with its checksum filled in."""
-    checksum = zlib.crc32(packet[_CHECKED_FROM:]).to_bytes(4, "little")
-    return packet[:_CRC_AT] + checksum + packet[_CHECKED_FROM:]
+    values = _VALUES.pack(*slot.gyro_imu.tolist(), *(slot.accel_imu / STANDARD_GRAVITY_M_S2).tolist())
+    checked = struct.pack("<Q", (slot.t_sensor_ns + clock_error_ns) % (1 << 64)) + values
+    head = _HEAD.pack(
+        0, HEADER_SIZE + len(values), 0, 1, counter & 0xFFFF, 0, DataType.IMU, time_type, zlib.crc32(checked)
+    )
+    return head + checked
 
 
 def _fill(points: NDArray[np.void], points_lidar: FloatArray, data_type: DataType) -> None:

@@ -22,6 +22,7 @@ from companion.messages import (
     ControlEvent,
     LidarScan,
     Odometry,
+    OdometryStatus,
     Output,
     PlanUpdate,
     RegisteredScan,
@@ -104,6 +105,25 @@ class CloudSampler:
             return None
         self._next_ns = t_ns + self._period_ns
         return cloud_of(scan, self._points_max)
+
+
+class OdometrySampler:
+    """Chooses which odometry estimates are kept."""
+
+    def __init__(self, rate_hz: float | None) -> None:
+        """Keep at most `rate_hz` a second, all of them if None, and every change of status."""
+        self._period_ns = 0 if rate_hz is None else round(NANOSECONDS_PER_SECOND / rate_hz)
+        self._next_ns: int | None = None
+        self._status: OdometryStatus | None = None
+
+    def takes(self, odometry: Odometry, t_ns: int) -> bool:
+        """Return whether an estimate handled at host time `t_ns` is kept."""
+        soon = self._next_ns is not None and t_ns < self._next_ns
+        if self._period_ns and soon and odometry.status is self._status:
+            return False
+        self._next_ns = t_ns + self._period_ns
+        self._status = odometry.status
+        return True
 
 
 def summary_of(scan: LidarScan) -> FrameSummary:

@@ -16,8 +16,8 @@ from companion.logs.log_file import FLUSH_PERIOD_NS, LogFile, LogState
 from companion.logs.log_queue import LogEntry, LogQueue
 from companion.logs.metadata import FlightMetadata
 from companion.logs.records import CloudView, Statistics
-from companion.logs.views import CloudSampler, Recordable, views_of
-from companion.messages import Datagram, RegisteredScan
+from companion.logs.views import CloudSampler, OdometrySampler, Recordable, views_of
+from companion.messages import Datagram, Odometry, RegisteredScan
 from companion.settings import Settings
 
 _MIB = 1024 * 1024
@@ -38,6 +38,11 @@ class LogSettings(Settings):
     """Record thinned registered clouds for viewing and reports."""
     imu: bool = False
     """Record decoded IMU samples; the raw LiDAR datagrams already contain them."""
+    mavlink: bool = True
+    """Record every MAVLink message sent and received; a log without them cannot be replayed."""
+    odometry_hz: float | None = Field(default=None, gt=0.0, le=1000.0)
+    """Largest number of recorded odometry estimates per second, where all are too much; a change of their
+    status is always recorded. A log that leaves some out cannot be replayed."""
     cloud_points: int = Field(default=2000, ge=100, le=20_000)
     """Largest number of points in a recorded cloud."""
     cloud_rate_hz: float = Field(default=5.0, gt=0.0, le=20.0)
@@ -124,6 +129,8 @@ class FlightLog:
                 (channels.LIDAR_PACKETS, settings.raw_lidar),
                 (channels.CLOUD, settings.clouds),
                 (channels.IMU, settings.imu),
+                (channels.MAVLINK_RX, settings.mavlink),
+                (channels.MAVLINK_TX, settings.mavlink),
             )
             if not on
         }
@@ -133,6 +140,7 @@ class FlightLog:
         self._batch: list[Datagram] = []
         self._batch_span_ns = round(settings.batch_ms * 1e6)
         self._clouds = CloudSampler(settings.cloud_rate_hz, settings.cloud_points)
+        self._odometry = OdometrySampler(settings.odometry_hz)
         self._flushed_ns: int | None = None
         self._disk_low = False
         self._unencodable = 0
@@ -171,6 +179,8 @@ class FlightLog:
         """
         if isinstance(message, Datagram):
             self._add_to_batch(message, t_ns)
+            return
+        if isinstance(message, Odometry) and not self._odometry.takes(message, t_ns):
             return
         for channel, view in views_of(message):
             self.write(channel, view, t_ns)

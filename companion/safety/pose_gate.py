@@ -80,11 +80,24 @@ class PoseGate:
         off_m = float(np.linalg.norm(odometry.p_map - last.p_map - v_map * step_s))
         if off_m > self._settings.max_pose_jump_m + self._settings.max_acceleration_mps2 * step_s**2:
             return f"{off_m:.1f} m"
+        if self._cannot_have_turned(last, odometry, step_s):
+            return ""
         expected = rotation.multiply(last.q_map_body, rotation.exp(last.omega_body * step_s))
         off_deg = math.degrees(float(rotation.angle_between(expected, odometry.q_map_body)))
         if off_deg > self._settings.max_attitude_jump_deg:
             return f"{off_deg:.0f} deg"
         return ""
+
+    def _cannot_have_turned(self, last: Odometry, odometry: Odometry, step_s: float) -> bool:
+        """Return whether even the sum of the turn made and the turn expected is within the limit.
+
+        It is for nearly every pose, and costs far less than the angle between the two.
+        """
+        products = zip(last.q_map_body.tolist(), odometry.q_map_body.tolist(), strict=True)
+        cosine = abs(sum(a * b for a, b in products))
+        made = 2.0 * math.acos(min(cosine, 1.0))
+        expected = math.hypot(*last.omega_body.tolist()) * step_s
+        return math.degrees(made + expected) <= self._settings.max_attitude_jump_deg
 
     def _reference_velocity(self, last: Odometry, vehicle: VehicleState | None) -> FloatArray:
         """Return PX4's velocity if it is fresh and has agreed until now, else the odometry's own."""

@@ -15,7 +15,7 @@ from sitl.sensors import ranging_kernels as kernels
 from sitl.sensors.mid360_settings import Mid360Settings as Mid360Settings
 from sitl.sensors.return_kernels import find_mirrors, form_returns
 from sitl.sensors.scan_kernels import FIRING_PERIOD_NS, LINES
-from sitl.sensors.scan_pattern import ScanPattern
+from sitl.sensors.scan_pattern import usual_pattern
 from sitl.slots import PointSlots
 from sitl.worlds.primitives import Hits, World
 
@@ -44,7 +44,7 @@ class Mid360Model:
         self._T_body_lidar = T_body_lidar
         self._settings = settings
         self._parameters = settings.packed()
-        self._pattern = ScanPattern()
+        self._pattern = usual_pattern()
         self._blanked = np.zeros(LINES, np.uint8)
         self._next_slot = 0
 

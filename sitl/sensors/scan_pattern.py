@@ -1,5 +1,6 @@
 """Where the Mid-360 looks: its non-repetitive pattern in closed form, for any slot since power-on."""
 
+from functools import lru_cache
 from importlib import resources
 
 import numpy as np
@@ -43,8 +44,12 @@ class ScanPattern:
         """Return the nods of the mirror per second."""
         return self._nod_hz
 
+    @lru_cache(maxsize=4)  # noqa: B019  # one pattern serves all units, each for as long as the process
     def directions_lidar(self, first_slot: int, count: int) -> FloatArray:
         """Return the unit directions (count, 3) of consecutive slots in the lidar frame.
+
+        Sensors that were switched on together look the same way: the array is shared by all who ask for
+        the same slots, and must not be changed.
 
         Args:
             first_slot: index since power-on, at least 0; slot n belongs to line n % 4 and is fired at
@@ -62,3 +67,9 @@ class ScanPattern:
             self._coefficients, directions,
         )  # fmt: skip
         return directions
+
+
+@lru_cache(maxsize=1)
+def usual_pattern() -> ScanPattern:
+    """Return the pattern that all units of the type share."""
+    return ScanPattern()

@@ -93,7 +93,7 @@ def fly_full(
         termination: what ends it.
         cap_m: obstacles farther than this do not count for MDO.
         workers: processes, this one included; one for each core by default. Results do not depend on it.
-        packets: log raw LiDAR packets and clouds too, as the profiles say.
+        packets: log what a replay needs, as the profiles say; light logs otherwise.
         on_progress: called once a simulated second.
 
     Raises:

@@ -13,6 +13,7 @@ from sitl.scenario import Scenario
 from sitl.swarm.scene import SwarmScene
 from sitl.swarm.table import Table
 from sitl.swarm.vehicles import Crew, Member, member_name, member_stage
+from sitl.worlds.bodies import poses_midway
 
 LOG_NAME = "flight.mcap"
 
@@ -26,7 +27,7 @@ class FlightPlan:
         crew: their profiles.
         scene: where they start and where the leader goes.
         folder: where every vehicle gets a folder with its log.
-        packets: log raw LiDAR packets and clouds too, as the profiles say; otherwise never.
+        packets: log what a replay needs, as the profiles say; light logs otherwise (`member_stage`).
     """
 
     setting: Scenario
@@ -78,9 +79,16 @@ class Share:
         return self.rows()
 
     def live(self, before: Table, now: Table, *, start_given: bool) -> None:
-        """Let everybody measure and talk during the step just made; see `Member.live`."""
+        """Let everybody measure and talk during the step just made.
+
+        Args:
+            before: everybody at its beginning.
+            now: everybody at its end.
+            start_given: all are ready and may be authorised.
+        """
+        midway = poses_midway(before.p_world, before.q_world_body, now.p_world, now.q_world_body)
         for member in self._members:
-            member.live(before, now, start_given=start_given)
+            member.live(midway, now, start_given=start_given)
 
     def close(self) -> None:
         """Complete the logs."""

@@ -16,6 +16,7 @@ SAMPLE_NS = seconds_to_ns(0.05)
 PREPARATION_S = 60.0
 """Longest time from power-on until all companions are in control."""
 
+_STEP_REACH_M = 0.5  # no pair comes this much nearer and parts again within one step
 _IN_CONTROL = (FlightState.ACTIVE, FlightState.HOLDING, FlightState.LANDING)
 
 
@@ -149,6 +150,9 @@ class SwarmReferee:
             self.stop("obstacle", tuple(hit.tolist()))
             return True
         if not len(self._firsts):
+            return False
+        nearest_m = np.linalg.norm(now.p_world[self._firsts] - now.p_world[self._seconds], axis=1).min()
+        if nearest_m > 2.0 * self._rules.vehicle_radius_m + _STEP_REACH_M:
             return False
         apart = before.p_world[self._firsts] - before.p_world[self._seconds]
         change = now.p_world[self._firsts] - now.p_world[self._seconds] - apart

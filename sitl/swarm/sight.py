@@ -4,7 +4,7 @@ import numpy as np
 
 from companion.clock import ns_to_seconds, seconds_to_ns
 from companion.geometry import rotation
-from companion.messages import FloatArray, NeighbourTracks, Odometry
+from companion.messages import NeighbourTracks, Odometry
 from sitl.swarm.table import NEVER_S, Table
 
 _GATE_M = 0.75
@@ -25,13 +25,13 @@ class LeaderSight:
     def __init__(self, number: int) -> None:
         """Watch vehicle `number`."""
         self._number = number
-        self._past: dict[int, tuple[FloatArray, FloatArray]] = {}
+        self._past: dict[int, Table] = {}
         self._judged_ns = 0
         self.seen_s = NEVER_S
 
     def remember(self, t_ns: int, table: Table) -> None:
         """Keep where everybody is at host time `t_ns`; call with every step."""
-        self._past[t_ns] = (table.p_world.copy(), table.q_world_body[self._number].copy())
+        self._past[t_ns] = table
         self._past.pop(t_ns - _KEPT_NS, None)
 
     def judge(self, tracks: NeighbourTracks | None, odometry: Odometry | None) -> None:
@@ -47,8 +47,8 @@ class LeaderSight:
         past = self._nearest(tracks.t_ns)
         if past is None:
             return
-        p_world, q_world_body = past
-        others = np.delete(p_world, self._number, axis=0) - p_world[self._number]
+        q_world_body = past.q_world_body[self._number]
+        others = np.delete(past.p_world, self._number, axis=0) - past.p_world[self._number]
         for track in tracks.tracks:
             if not track.validated:
                 continue
@@ -57,7 +57,7 @@ class LeaderSight:
             if distances[0] < _GATE_M and distances[0] == distances.min():
                 self.seen_s = ns_to_seconds(tracks.t_ns)
 
-    def _nearest(self, t_ns: int) -> tuple[FloatArray, FloatArray] | None:
+    def _nearest(self, t_ns: int) -> Table | None:
         if not self._past:
             return None
         return self._past[min(self._past, key=lambda kept_ns: abs(kept_ns - t_ns))]

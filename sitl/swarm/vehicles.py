@@ -34,10 +34,11 @@ from sitl.swarm.table import (
     V,
 )
 from sitl.vehicle import operator_settings
-from sitl.worlds.bodies import Bodies, poses_midway
+from sitl.worlds.bodies import Bodies
 from sitl.worlds.uav_body import UavBodySettings, uav_body
 
 ROTOR_HZ = 95.0
+LIGHT_ODOMETRY_HZ = 20.0
 _ROTOR_SPREAD = 0.05
 
 
@@ -68,14 +69,17 @@ def member_stage(
         crew: their profiles.
         scene: where they start and where the leader goes.
         number: which vehicle.
-        packets: log raw LiDAR packets and clouds, as the profile says; otherwise never.
+        packets: log what a replay needs, as the profile says; otherwise no LiDAR packets, clouds and MAVLink
+            messages, and odometry at 20 Hz.
     """
     floor_m = setting.quadrotor.ground_height_m + setting.quadrotor.standing_height_m
     x, y, height = scene.starts_world[number].tolist()
     T_world_start = Pose.of([x, y, floor_m], rotation.from_yaw(scene.yaws[number]))
     profile = _member_profile(crew, scene, number, T_world_start)
     if not packets:
-        log = profile.log.model_copy(update={"raw_lidar": False, "clouds": False})
+        log = profile.log.model_copy(
+            update={"raw_lidar": False, "clouds": False, "mavlink": False, "odometry_hz": LIGHT_ODOMETRY_HZ}
+        )
         profile = profile.model_copy(update={"log": log})
     operator = setting.operator.model_copy(update={"takeoff_height_m": height - floor_m})
     return Stage(
@@ -166,23 +170,18 @@ class Member:
         row[LEADER_SEEN_S] = NEVER_S if self._sight is None else self._sight.seen_s
         return row
 
-    def live(self, before: Table, now: Table, *, start_given: bool) -> None:
+    def live(self, midway: tuple[FloatArray, FloatArray], now: Table, *, start_given: bool) -> None:
         """Measure and talk during the step just made.
 
         Args:
-            before: everybody at its beginning.
+            midway: positions (n, 3) and attitudes (n, 4) of everybody in the middle of the step.
             now: everybody at its end.
             start_given: all are ready and may be authorised.
         """
         others = self._others
-        p_world, q_world_body = poses_midway(
-            before.p_world[others],
-            before.q_world_body[others],
-            now.p_world[others],
-            now.q_world_body[others],
-        )
+        p_world, q_world_body = midway
         self._signal.given = start_given
-        self._vehicle.live(self._bodies.at(p_world, q_world_body, now.turns[others]))
+        self._vehicle.live(self._bodies.at(p_world[others], q_world_body[others], now.turns[others]))
         if self._sight is not None:
             self._sight.remember(self._vehicle.simulated.t_ns, now)
             companion = self._vehicle.companion
