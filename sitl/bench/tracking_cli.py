@@ -70,14 +70,20 @@ def tracking(
         from companion.perception.tracking.settings import TrackingSettings
         from sitl.bench.tracking import measure
         from sitl.bench.tracking_page import shown, write
-        from sitl.bench.tracking_rows import rows
+        from sitl.bench.tracking_rows import rows, together
 
         out.mkdir(parents=True, exist_ok=True)
         load_kernels()
         table, progress, clock = Table(), Progress(every=5), SystemClock()
         begun_ns = clock.now_ns()
         done: list[Row] = []
-        of_tape: list[FlightScore] = []
+        scores: list[tuple[FlightScore, bool, bool]] = []
+
+        def show(found: "list[Row]") -> None:
+            done.extend(found)
+            if not json_output:
+                for row in found:
+                    table.show({name: cell.rjust(7) for name, cell in shown(row).items()})
 
         def on_case(case: "Case", score: "FlightScore") -> None:
             progress.clear()
@@ -85,12 +91,8 @@ def tracking(
                 score, case.name, case.neighbours,
                 tape=case.tape, distractors=case.distractors, windy=case.windy,
             )  # fmt: skip
-            done.extend(found)
-            if case.tape:
-                of_tape.append(score)
-            if not json_output:
-                for row in found:
-                    table.show({name: cell.rjust(7) for name, cell in shown(row).items()})
+            scores.append((score, case.tape, case.distractors))
+            show(found)
 
         def on_flight(number: int, of: int, flight: "Flight") -> None:
             left_s = (clock.now_ns() - begun_ns) * 1e-9 / number * (of - number)
@@ -103,10 +105,11 @@ def tracking(
             measure(cases, numbers, seconds, on_case, on_flight, settings, processes)
         finally:
             progress.clear()
+            show(together(scores))
             files = [str(file) for file in write(out, done)] if done else []
         result: Result = {"rows": [row.as_dict() for row in done], "files": files}
         if fit is not None:
-            result["perception"] = _write_fit(fit, of_tape)
+            result["perception"] = _write_fit(fit, [score for score, taped, _ in scores if taped])
             files.append(str(fit))
         if not json_output:
             typer.echo("written: " + ", ".join(files))

@@ -2,19 +2,16 @@
 
 import html
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from string import Template
-from typing import Any
 
-from companion.logs import report_style as style
-from sitl.bench.tracking_rows import ALL, Row
+from sitl.bench.tracking_plots import case_name, figures
+from sitl.bench.tracking_rows import ALL, TOGETHER, Row
 
 RESULTS = "tracking.json"
 TABLE = "tracking.md"
 PAGE = "tracking.html"
-
-_COLOURS = (style.ESTIMATE, style.COMMAND, style.GREEN, *style.AXES, style.AUTOPILOT)
 
 _PAGE = Template("""<!doctype html>
 <html lang="en">
@@ -28,17 +25,20 @@ _PAGE = Template("""<!doctype html>
 * { box-sizing: border-box; }
 body { margin: 0; background: #f5f7fa; color: #1e293b;
   font: 15px/1.45 system-ui, -apple-system, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif; }
-main { max-width: 1180px; margin: 0 auto; padding: 22px 16px 60px; }
+main { max-width: 1440px; margin: 0 auto; padding: 22px 16px 60px; }
 h1 { font-size: 22px; margin: 0 0 12px; } h2 { font-size: 14px; margin: 0 0 4px; }
 .card { background: #fff; border: 1px solid #e5e9f0; border-radius: 10px; padding: 14px 16px;
   margin: 0 0 14px; overflow-x: auto; }
 .grid { display: grid; grid-template-columns: repeat(2, minmax(0, 1fr)); gap: 14px; }
 .grid .card { margin: 0; }
-table { border-collapse: collapse; font-variant-numeric: tabular-nums; font-size: 13px; }
-th, td { padding: 2px 10px 2px 0; text-align: right; white-space: nowrap; }
+table { border-collapse: collapse; font-variant-numeric: tabular-nums; font-size: 12px; }
+th, td { padding: 2px 9px 2px 0; text-align: right; white-space: nowrap; }
 th:first-child, td:first-child { text-align: left; }
 thead th { color: #64748b; border-bottom: 1px solid #e5e9f0; }
+th:first-child, td:first-child { position: sticky; left: 0; background: #fff; }
 tr.first td { border-top: 1px solid #e5e9f0; font-weight: 600; }
+summary { cursor: pointer; font-weight: 600; font-size: 14px; }
+figure { margin: 0; } .note { margin: 8px 2px 14px; }
 p { color: #64748b; font-size: 13px; margin: 6px 0 0; }
 @media (max-width: 760px) { .grid { grid-template-columns: minmax(0, 1fr); } }
 </style>
@@ -46,9 +46,11 @@ p { color: #64748b; font-size: 13px; margin: 6px 0 0; }
 <body>
 <main>
 <h1>Neighbours as seen</h1>
-<section class="card">$table</section>
-<section class="card"><h2>What the figures mean</h2>$definitions</section>
+<section class="card">$overview</section>
 <section class="grid">$plots</section>
+<p class="note">Thick: all cases that look alike, thin: each case; dashed: what is promised with tape.</p>
+<section class="card"><h2>What the figures mean</h2>$definitions</section>
+<section class="card"><details><summary>All figures by range</summary>$table</details></section>
 </main>
 <script type="application/json" id="rows">$rows</script>
 <script>$plotly</script>
@@ -84,13 +86,6 @@ DEFINITIONS = (
     "processor time of the tracker for one scan (median).",
 )
 
-_PLOTS: tuple[tuple[str, str, Callable[[Row], float | None]], ...] = (
-    ("detection", "Detection rate", lambda row: row.detection_rate),
-    ("precision", "Precision", lambda row: row.precision),
-    ("position", "Position error, RMSE, m", lambda row: row.position_rmse_m),
-    ("velocity", "Velocity error, RMSE, m/s", lambda row: row.velocity_rmse_mps),
-)
-
 
 def write(folder: Path, rows: Sequence[Row]) -> list[Path]:
     """Write rows as JSON, as a table and as a page with plots; returns the files.
@@ -117,7 +112,7 @@ def shown(row: Row) -> dict[str, str]:
     """Return a row as short text for people."""
     whole = row.band_m == ALL
     return {
-        "case": _case(row),
+        "case": case_name(row),
         "range m": row.band_m,
         "steps": str(row.counted),
         "detected %": _cell(row.detection_rate, 2, 100.0),
@@ -157,27 +152,21 @@ def page(rows: Sequence[Row], plotly: str) -> str:
         rows: of one run.
         plotly: the plotting library's script.
     """
-    figures = {name: _figure(rows, value) for name, _, value in _PLOTS}
+    plots = figures(rows)
     boxes = (
         f'<figure class="card"><h2>{html.escape(title)}</h2><div id="plot-{name}"></div></figure>'
-        for name, title, _ in _PLOTS
+        for name, (title, _) in plots.items()
     )
+    whole = [row for row in rows if row.band_m == ALL]
     return _PAGE.substitute(
+        overview=_table(sorted(whole, key=lambda row: row.scene != TOGETHER)),
         table=_table(rows),
         definitions="".join(f"<p>{html.escape(line)}</p>" for line in DEFINITIONS),
         plots="".join(boxes),
         rows=_script_json([row.as_dict() for row in rows]),
-        figures=_script_json(figures),
+        figures=_script_json({name: figure for name, (_, figure) in plots.items()}),
         plotly=plotly.replace("</script", "<\\/script"),
     )
-
-
-def _case(row: Row) -> str:
-    extras = [f"{row.neighbours} neighbour{'s' * (row.neighbours != 1)}"]
-    extras += ["distractors"] if row.distractors else []
-    extras += ["wind"] if row.windy else []
-    extras += [] if row.tape else ["no tape"]
-    return f"{row.scene}, {', '.join(extras)}"
 
 
 def _cell(value: float | None, digits: int, scale: float = 1.0) -> str:
@@ -199,41 +188,8 @@ def _table(rows: Sequence[Row]) -> str:
     body = []
     for row in rows:
         cells = "".join(f"<td>{html.escape(cell)}</td>" for cell in shown(row).values())
-        body.append(f'<tr class="{"first" if row.band_m == "all" else ""}">{cells}</tr>')
+        body.append(f'<tr class="{"first" if row.band_m == ALL else ""}">{cells}</tr>')
     return f"<table><thead><tr>{head}</tr></thead><tbody>{''.join(body)}</tbody></table>"
-
-
-def _figure(rows: Sequence[Row], value: Callable[[Row], float | None]) -> dict[str, Any]:
-    """Return one quantity over range, one line for each case."""
-    traces = []
-    for index, case in enumerate(dict.fromkeys(_case(row) for row in rows)):
-        points = [
-            (row.range_m, value(row))
-            for row in rows
-            if _case(row) == case and row.band_m != "all" and row.range_m is not None
-        ]
-        known = [(far, figure) for far, figure in points if figure is not None]
-        traces.append(
-            {
-                "type": "scatter",
-                "mode": "lines+markers",
-                "name": case,
-                "x": [round(far, 2) for far, _ in known],
-                "y": [round(figure, 5) for _, figure in known],
-                "line": {
-                    "color": _COLOURS[index % len(_COLOURS)],
-                    "dash": "dot" if "tape" in case else "solid",
-                },
-            }
-        )
-    layout = {
-        "height": 340,
-        "margin": {"l": 56, "r": 12, "t": 8, "b": 40},
-        "xaxis": {"title": {"text": "range, m"}, "range": [0, 12.5]},
-        "showlegend": True,
-        "legend": {"font": {"size": 10}},
-    }
-    return {"data": traces, "layout": layout}
 
 
 def _script_json(value: object) -> str:

@@ -1,8 +1,9 @@
 """Figures of scored flights, by case and by band of range."""
 
+import itertools
 import math
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,9 @@ _Z_95 = 1.959964
 _LONGEST_LAG = 30
 _UNCORRELATED = 0.05
 
+TOGETHER = "together"
+"""Name of the scene of a row that takes several cases together."""
+
 Interval = tuple[float, float]
 
 
@@ -34,7 +38,7 @@ class Row:
         tape: whether the neighbours wear it.
         distractors: whether other reflective things stand about.
         windy: whether it blows harder than usual.
-        neighbours: number of them.
+        neighbours: number of them; None where several cases are taken together.
         band_m: band of range, or `ALL`.
         range_m: mean range of the counted neighbours.
         flights: number of them.
@@ -73,7 +77,7 @@ class Row:
     tape: bool
     distractors: bool
     windy: bool
-    neighbours: int
+    neighbours: int | None
     band_m: str
     range_m: float | None
     flights: int
@@ -115,7 +119,7 @@ class Row:
 def rows(
     score: FlightScore,
     scene: str,
-    neighbours: int,
+    neighbours: int | None,
     *,
     tape: bool = True,
     distractors: bool = False,
@@ -136,7 +140,10 @@ def rows(
     spread = correlated_steps(sights[matched], "white_p"), correlated_steps(sights[matched], "white_v")
     minutes = max(score.flown_s / 60.0, 1e-9)
     found: list[Row] = []
-    limits = [(ALL, 0.0, math.inf), *((f"{low:g}-{high:g}", low, high) for low, high in pairwise(BANDS_M))]
+    limits = [
+        (ALL, 0.0, math.inf),
+        *((f"{low:g}-{high:g}", low, high) for low, high in itertools.pairwise(BANDS_M)),
+    ]
     for name, low, high in limits:
         here = sights[(sights["range_m"] >= low) & (sights["range_m"] < high)]
         counted = here[here["counted"]]
@@ -187,6 +194,23 @@ def rows(
                 latency_p99_ms=_at(score.tracker_ms, 99.0),
             )
         )
+    return found
+
+
+def together(
+    scores: Sequence[tuple[FlightScore, bool, bool]],
+) -> list[Row]:
+    """Return the figures of all cases that agree in tape and distractors, where there are several.
+
+    Args:
+        scores: of each case, with its tape and distractors.
+    """
+    found: list[Row] = []
+    for tape, distractors in itertools.product((True, False), repeat=2):
+        group = [score for score, *looks in scores if looks == [tape, distractors]]
+        if len(group) > 1:
+            joined = FlightScore.joined(group)
+            found += rows(joined, TOGETHER, None, tape=tape, distractors=distractors)
     return found
 
 

@@ -89,11 +89,14 @@ class FlightScore:
     @classmethod
     def joined(cls, flights: "list[FlightScore]") -> "FlightScore":
         """Return all flights as one; they are numbered in the order given."""
-        for number, flight in enumerate(flights):
-            flight.sights["flight"] = flight.steps["flight"] = number
+        firsts = np.cumsum([0, *(1 + flight.sights["flight"].max(initial=0) for flight in flights)])
+        sights = np.concatenate([flight.sights for flight in flights])
+        steps = np.concatenate([flight.steps for flight in flights])
+        sights["flight"] += np.repeat(firsts[:-1], [len(flight.sights) for flight in flights])
+        steps["flight"] += np.repeat(firsts[:-1], [len(flight.steps) for flight in flights])
         return cls(
-            np.concatenate([flight.sights for flight in flights]),
-            np.concatenate([flight.steps for flight in flights]),
+            sights,
+            steps,
             np.concatenate([flight.tracker_ms for flight in flights]),
             np.concatenate([flight.scan_ms for flight in flights]),
             np.concatenate([flight.acquired_s for flight in flights]),

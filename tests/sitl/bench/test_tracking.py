@@ -14,7 +14,7 @@ from sitl.bench.swarm_scenes import SCENES
 from sitl.bench.swarm_truth import MapFrame, NeighbourSights
 from sitl.bench.tracking import CASES, HARD_WIND, Case, measure
 from sitl.bench.tracking_page import markdown, page
-from sitl.bench.tracking_rows import Row, rate_interval, rows, wilson
+from sitl.bench.tracking_rows import Row, rate_interval, rows, together, wilson
 from sitl.bench.tracking_score import SIGHT, FlightScore, Score
 from sitl.cli import app
 from sitl.kinematics import Kinematics
@@ -183,6 +183,18 @@ def test_flights_are_told_apart_when_they_are_joined() -> None:
     assert row.detection_ci95 == pytest.approx((lower, upper))
 
 
+def test_cases_that_look_alike_are_taken_together() -> None:
+    good = scored(lambda k, p: [track(1, p[0], k)])
+    lost = scored(lambda k, p: [])
+    found = together([(good, True, True), (lost, True, True), (good, True, False), (lost, False, False)])
+    assert {(row.scene, row.neighbours, row.tape, row.distractors) for row in found} == {
+        ("together", None, True, True)
+    }
+    assert found[0].flights == 2
+    assert found[0].detection_rate == 0.5
+    assert found[0].id_switches == 0
+
+
 def test_the_interval_of_a_rate_is_wilsons_by_the_second() -> None:
     assert wilson(0.5, 10.0) == pytest.approx((0.2366, 0.7634), abs=1e-4)
     steps = np.zeros(1000, SIGHT)
@@ -248,11 +260,11 @@ def test_equal_flights_give_equal_scores_in_whichever_process() -> None:
         found: list[FlightScore] = []
         measure(cases, [4], 3.0, lambda case, flown, to=found: to.append(flown), processes=processes)  # type: ignore[misc]
         runs.append(found)
-    for alone, together in zip(*runs, strict=True):
+    for alone, shared in zip(*runs, strict=True):
         assert len(alone.steps) > 0
-        assert alone.sights.tobytes() == together.sights.tobytes()
-        assert alone.steps.tobytes() == together.steps.tobytes()
-        assert alone.switches == together.switches
+        assert alone.sights.tobytes() == shared.sights.tobytes()
+        assert alone.steps.tobytes() == shared.steps.tobytes()
+        assert alone.switches == shared.switches
 
 
 def test_the_command_flies_a_scene_and_writes_what_it_found(tmp_path: Path) -> None:
