@@ -122,6 +122,8 @@ def _draw_sphere(
             edge = column + 1 if from_middle - width < _TURN - from_middle else column
             ca, sa = column_edges[edge, 0], column_edges[edge, 1]
         for row in range(first_row, end_row):
+            if ranges[column, row] <= distance - radius:
+                continue
             ce, se = flat / distance, z / distance
             if elevation < row_edges[row, 0]:
                 ce, se = row_edges[row, 1], row_edges[row, 2]
@@ -174,6 +176,8 @@ def _draw_by_rays(
         column = index % columns
         for row in range(first_row, end_row):
             best = ranges[column, row]
+            if best <= near:
+                continue
             for a in range(column * per_cell, (column + 1) * per_cell):
                 for e in range(row * per_cell, (row + 1) * per_cell):
                     ce, se = elevation_rays[e, 0], elevation_rays[e, 1]

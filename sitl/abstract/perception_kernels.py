@@ -2,8 +2,8 @@
 
 A follower's knowledge of another vehicle is a row of `TRACK_WIDTH` numbers: position and velocity in the
 world as measured, own position and velocity when they were, the time for which they hold, the time of the
-last sighting, sightings in a row, whether it is known at all, and the errors of position and velocity in
-units of their standard deviation.
+last sighting since it is known, sightings in a row, whether it is known at all, and the errors of position
+and velocity in units of their standard deviation.
 
 Scalar arithmetic only, in the common subset of compilers for processors and graphics cards.
 """
@@ -92,11 +92,14 @@ def look_around(
             if t_valid - track[T_SEEN] > parameters[place.COAST] - 1e-9:
                 track[IS_KNOWN] = 0.0
             continue
-        track[STREAK] += 1.0
+        # Whoever hovers beside others before the trial begins knows them by then.
+        track[STREAK] = track[STREAK] + 1.0 if step > 0 else parameters[place.SIGHTINGS]
         if track[STREAK] >= parameters[place.SIGHTINGS]:
             track[IS_KNOWN] = 1.0
         # Errors fade exponentially; those of a new neighbour, or without memory, are fresh.
-        gap = t_valid - track[T_SEEN] if track[STREAK] > 1.0 else math.inf
+        gap = math.inf
+        if track[STREAK] > 1.0 and step > 0:
+            gap = parameters[place.SCAN_STEPS] * parameters[place.CONTROL_STEP]
         kept_p = math.exp(-gap / max(parameters[place.POSITION_MEMORY], _NO_MEMORY_S))
         kept_v = math.exp(-gap / max(parameters[place.VELOCITY_MEMORY], _NO_MEMORY_S))
         sigma_p = parameters[place.POSITION_SIGMA] + parameters[place.POSITION_SIGMA_FAR] * distance
@@ -112,7 +115,8 @@ def look_around(
         for axis in range(6):
             track[OWN_P + axis] = states[i, axis]
         track[T_VALID] = t_valid
-        track[T_SEEN] = t_valid
+        if track[IS_KNOWN] > 0.0:
+            track[T_SEEN] = t_valid
 
 
 @compiled(

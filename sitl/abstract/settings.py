@@ -63,7 +63,8 @@ class PerceptionSettings(Settings):
     dropout_far: float = Field(default=0.0, ge=0.0, le=1.0)
     """What is added to it at `range_m`; with the square of the distance up to there."""
     sightings: int = Field(default=1, ge=1, le=20)
-    """Scans in a row in which a new neighbour must be seen before it is known."""
+    """Scans in a row in which a new neighbour must be seen before it is known; those in sight when the trial
+    begins are known at once."""
     coast_s: float = Field(default=0.0, ge=0.0, le=5.0)
     """A known neighbour stays known for so long after it was last seen, carried on."""
 
@@ -79,18 +80,24 @@ class PerceptionSettings(Settings):
 PRESETS: dict[Preset, PerceptionSettings] = {
     "paper": PerceptionSettings(),
     "measured": PerceptionSettings(
-        position_sigma_m=0.02,
-        position_sigma_per_m=0.004,
-        velocity_sigma_mps=0.05,
-        velocity_sigma_per_m=0.015,
-        ego_velocity_sigma_mps=0.03,
-        dropout=0.01,
-        dropout_far=0.5,
-        sightings=2,
+        obstacle_delay_s=0.05,
+        neighbour_delay_s=0.05,
+        ego_delay_s=0.0,
+        position_sigma_m=0.004,
+        position_sigma_per_m=0.0033,
+        position_memory_s=0.18,
+        velocity_sigma_mps=0.046,
+        velocity_sigma_per_m=0.0081,
+        velocity_memory_s=0.19,
+        ego_velocity_sigma_mps=0.011,
+        dropout=0.0,
+        dropout_far=0.21,
+        sightings=9,
         coast_s=0.5,
     ),
 }
-"""The paper's perception, and the one measured on this product's own tracker and odometry."""
+"""The paper's perception, and the one that `sitl bench tracking --fit` finds of this product's own tracker and
+odometry in full fidelity; computing takes part of a control step there and counts as a whole one."""
 
 
 class LagSettings(Settings):

@@ -1,4 +1,4 @@
-"""The leader of full fidelity, with a scan of rays instead of a LiDAR and a vehicle that flies as it is told."""
+"""The leader of full fidelity: it plans by a scan of rays and flies as the abstract vehicles do."""
 
 import numpy as np
 
@@ -46,16 +46,8 @@ def fly_leader(scene: SwarmScene) -> FloatArray:
             ranges = world.cast(origins, directions, _RANGE_M).ranges
             hit = np.isfinite(ranges)
             points = (origins[hit] + ranges[hit, None] * directions[hit]).astype(np.float32)
-            planner.observe(
-                RegisteredScan(
-                    t_ns,
-                    step,
-                    points,
-                    np.zeros(len(points), np.uint8),
-                    odometry,
-                    np.zeros(len(points), np.int32),
-                )  # fmt: skip
-            )
+            dark, fresh = np.zeros(len(points), np.uint8), np.zeros(len(points), np.int32)
+            planner.observe(RegisteredScan(t_ns, step, points, dark, odometry, fresh))
         decision = planner.decide(odometry, t_ns)
         if decision.finished:
             break

@@ -134,12 +134,8 @@ def test_too_low_too_late_and_too_far_apart_are_told_apart() -> None:
     assert apart.end == "scattered"
 
 
-def test_nobody_is_known_before_enough_sightings_and_coasting_outlasts_a_miss() -> None:
+def test_newcomers_take_several_sightings_and_coasting_outlasts_a_miss() -> None:
     scene = set_scene(SHORT, "none", 2)
-    seen = PerceptionSettings(sightings=3)
-    path = _path(_fly(scene, perception=seen))
-    assert not path.perceived[:4].any()
-    assert path.perceived[4, 1].any()
     gaps = PerceptionSettings(dropout=0.5)
     coasting = gaps.model_copy(update={"coast_s": 0.5})
     dropped = _path(_fly(scene, perception=gaps)).perceived[:60, 1:].mean()
@@ -147,6 +143,10 @@ def test_nobody_is_known_before_enough_sightings_and_coasting_outlasts_a_miss() 
     # Four of five could be known.
     assert dropped == pytest.approx(0.4, abs=0.06)
     assert coasted > 0.7
+    slow = _path(_fly(scene, perception=gaps.model_copy(update={"sightings": 3}))).perceived
+    # Whoever is in sight at the start is known at once; after a miss it takes three sightings in a row.
+    assert slow[0].sum() > 4
+    assert slow[10:60, 1:].mean() == pytest.approx(0.8 * 0.5**3, abs=0.05)
 
 
 def test_the_other_dynamics_wind_and_measured_perception_fly_too() -> None:

@@ -105,8 +105,11 @@ def test_a_forest_looks_as_many_rays_see_it() -> None:
     )
     both = np.isfinite(ours) & np.isfinite(rays)
     assert both.sum() > 50
-    assert np.mean(np.abs(ours[both] - rays[both]) < 0.1) > 0.9
-    assert np.sum(np.isfinite(ours) != np.isfinite(rays)) < 0.1 * both.sum()
+    # Thin branches fall between rays, ours and theirs; nothing else may.
+    apart = np.abs(ours[both] - rays[both])
+    assert np.median(apart) < 0.05
+    assert np.mean(apart < 0.25) > 0.9
+    assert np.sum(np.isfinite(ours) != np.isfinite(rays)) < 0.2 * both.sum()
 
 
 def test_an_unknown_vehicle_is_an_obstacle_and_a_known_one_hides_what_is_behind_it() -> None:

@@ -1,4 +1,5 @@
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -76,7 +77,7 @@ def test_a_route_keeps_clear_of_obstacles_and_ends_at_each_waypoint() -> None:
         np.testing.assert_allclose(course.legs[:, -1], scene.waypoints_world[:, :2])
         np.testing.assert_allclose(course.legs[0, 0], scene.starts_world[0, :2])
         for leg in course.legs:
-            along = np.concatenate([np.linspace(a, b, 50) for a, b in zip(leg[:-1], leg[1:], strict=True)])
+            along = np.concatenate([np.linspace(a, b, 50) for a, b in pairwise(leg)])
             heights = np.full(len(along), scene.starts_world[0, 2])
             assert scene.world.obstacles().clearance(np.column_stack([along, heights])).min() > 0.4
 

@@ -5,7 +5,7 @@ import pytest
 
 from sitl.swarm.scene import set_scene
 from sitl.swarm.settings import LeaderBehaviourSettings, SwarmSettings
-from sitl.worlds.primitives import Cylinder
+from sitl.worlds.primitives import Cylinder, Primitive
 from sitl.worlds.settings import WorldSettings
 from sitl.worlds.sites import FLOWN_SITES, SITE_NAMES
 
@@ -68,7 +68,7 @@ def test_an_unknown_site_is_refused_with_the_names_of_those_there_are() -> None:
 
 
 def test_a_start_full_of_obstacles_is_refused() -> None:
-    wall = [
+    wall: list[Primitive] = [
         Cylinder(start_world_m=(x, y, 0.0), end_world_m=(x, y, 5.0), radius_m=0.5)
         for x in (-1.6, 0.0, 1.6)
         for y in (-1.6, 0.0)
