@@ -96,7 +96,7 @@ PRESETS: dict[Preset, PerceptionSettings] = {
         coast_s=0.5,
     ),
 }
-"""The paper's perception, and the one that `sitl bench tracking --fit` finds of this product's own tracker and
+"""The paper's perception, and the one that `sitl bench tracking --fit` finds of our own tracker and
 odometry in full fidelity; computing takes part of a control step there and counts as a whole one."""
 
 
