@@ -147,7 +147,9 @@ class Proof:
         taped = settings.tape is Tape.NONE or self.bright_share > settings.bright_share
         self._on = self._on + 1 if taped else 0
         self._off = 0 if taped else self._off + 1
-        if not self.moved and self._updates >= settings.moved_updates:
+        # What went along a pole from one dim point to the next has not moved.
+        shown = settings.tape is Tape.NONE or bright > 0
+        if shown and not self.moved and self._updates >= settings.moved_updates:
             self.moved = self.free > -_DOUBT * settings.free_evidence and self._goes(motion)
         if self.validated:
             fixed = settings.proof_of_flight and self._evidence <= -settings.free_evidence
