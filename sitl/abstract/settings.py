@@ -143,8 +143,12 @@ class AbstractSettings(Settings):
 
     @classmethod
     def of(cls, preset: Preset) -> "AbstractSettings":
-        """Return the settings with one of the known kinds of perception."""
-        return cls(perception=PRESETS[preset])
+        """Return one of the known settings.
+
+        `paper` is the published perception, and a velocity that lags; `measured` is the perception of our
+        tracker and odometry in full fidelity, and the response that was measured on PX4.
+        """
+        return cls(perception=PRESETS[preset], dynamics="lag" if preset == "paper" else "quadrotor")
 
     @property
     def substeps(self) -> int:

@@ -76,7 +76,7 @@ class CampaignDefinition(Settings):
     )
     """How many of its nearest neighbours a follower takes into account; each number is a row of its own."""
     perception: Perception = "paper"
-    """Errors and delays of the abstract fidelity: as published, or as fitted to full runs."""
+    """Errors, delays and flight of the abstract fidelity: as published, or as measured in full fidelity."""
     obstacle_distance_cap_m: float = Field(default=4.0, gt=0.0, le=100.0)
     """MDO averages only over moments with a surface nearer than this."""
     failed_logs: int = Field(default=1, ge=0, le=1000)
