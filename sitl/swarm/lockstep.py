@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from companion.errors import LogError
 from companion.logs.writer import FlightLog
 from companion.messages import FloatArray
 from sitl.lockstep import BOOT_NS, open_log
@@ -63,6 +64,9 @@ class Share:
                 path = plan.log_path(number)
                 path.parent.mkdir(parents=True, exist_ok=True)
                 self._logs.append(open_log(stage, path))
+                problem = self._logs[-1].status().reason
+                if problem:
+                    raise LogError(f"{path}: no log: {problem}")
                 self._members.append(Member(stage, self._logs[-1], number, plan.vehicles, BOOT_NS))
         except BaseException:
             self.close()

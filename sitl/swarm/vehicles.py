@@ -166,9 +166,16 @@ class Member:
         row[TURN] = self._turn
         row[COLLISIONS] = self._vehicle.simulated.airframe.collisions
         row[STATE] = STATE_NUMBERS[self.state]
-        row[READY] = self._signal.ready
+        row[READY] = self._signal.ready and self._knows_somebody()
         row[LEADER_SEEN_S] = NEVER_S if self._sight is None else self._sight.seen_s
         return row
+
+    def _knows_somebody(self) -> bool:
+        """A follower is let go only once its companion reports a neighbour."""
+        tracks = self._vehicle.companion.tracks
+        if self._sight is None:
+            return True
+        return tracks is not None and any(track.validated for track in tracks.tracks)
 
     def live(self, midway: tuple[FloatArray, FloatArray], now: Table, *, start_given: bool) -> None:
         """Measure and talk during the step just made.

@@ -7,9 +7,11 @@ from pathlib import Path
 
 import pytest
 
+from companion.clock import seconds_to_ns
 from companion.logs import channels
 from companion.logs.reader import FlightRecording
 from companion.messages import FlightState, NeighbourTracks, StateChange
+from sitl.lockstep import BOOT_NS
 from sitl.swarm.full import FullFlight, fly_full
 from sitl.swarm.lockstep import FlightPlan
 from sitl.swarm.process import Swarm, WorkerLostError
@@ -43,12 +45,14 @@ def test_a_follower_sees_its_leader_and_goes_with_it_to_the_goal(flight: FullFli
             FlightState.ENGAGING,
             FlightState.ACTIVE,
         ]
+    assert flight.start_s is not None
+    start_ns = BOOT_NS + seconds_to_ns(flight.start_s)
     tracks = [
         entry.message
         for entry in FlightRecording(flight.logs[1]).messages(channels.NEIGHBOURS)
-        if isinstance(entry.message, NeighbourTracks)
+        if isinstance(entry.message, NeighbourTracks) and entry.t_ns >= start_ns
     ]
-    assert sum(any(track.validated for track in scan.tracks) for scan in tracks) > 0.5 * len(tracks)
+    assert sum(any(track.validated for track in scan.tracks) for scan in tracks) > 0.8 * len(tracks)
 
 
 def test_light_logs_leave_out_packets_and_messages_of_the_autopilot(flight: FullFlight) -> None:
