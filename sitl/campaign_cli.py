@@ -144,10 +144,12 @@ def _chosen(text: str | None, known: list[str], what: str) -> list[str]:
     """Return the names in a list separated by commas, in the order of the campaign's file."""
     if text is None:
         return known
+    from companion.errors import ProfileError
+
     names = [name.strip() for name in text.split(",")]
     for name in names:
         if name not in known:
-            raise typer.BadParameter(f"the campaign has no {what} {name!r}; it has {', '.join(known)}")
+            raise ProfileError(f"the campaign has no {what} {name!r}; it has {', '.join(known)}")
     return [name for name in known if name in names]
 
 

@@ -10,7 +10,7 @@ from pydantic import Field, ValidationError
 from companion import __version__
 from companion.config import Profile, load_profile
 from companion.control.followers.settings import METHODS, FollowerSettings
-from companion.errors import CompanionError, LogError, ProfileError
+from companion.errors import LogError, ProfileError
 from companion.settings import Settings
 from sitl.abstract.settings import AbstractSettings
 from sitl.campaign.definition import CampaignDefinition, MethodEntry, Seeds, WorldEntry
@@ -22,7 +22,7 @@ CONDITIONS_NAME = "campaign.json"
 _MAX_BYTES = 16 * 1024**2
 
 
-class OtherCampaignError(CompanionError):
+class OtherCampaignError(LogError):
     """A folder holds the results of a campaign under other conditions; the text says which."""
 
 

@@ -43,20 +43,24 @@ def on_cluster(work: Callable[[_Task], _Result], tasks: Sequence[_Task], address
     except (ConnectionError, RuntimeError, ValueError) as error:
         raise StartError(f"cluster: no Ray cluster at {address}: {_first_line(error)}") from None
     try:
-        remote = ray.remote(num_cpus=1, max_retries=_RETRIES)(work)
-        yield from _gather(ray, remote, tasks)
+        remote = ray.remote(num_cpus=1, max_retries=_RETRIES)(_do)
+        yield from _gather(ray, remote, work, tasks)
     finally:
         ray.shutdown()
 
 
-def _gather(ray: Any, remote: Any, tasks: Sequence[_Task]) -> Iterator[Any]:
+def _do(work: Callable[[_Task], _Result], task: _Task) -> _Result:
+    return work(task)
+
+
+def _gather(ray: Any, remote: Any, work: Callable[[Any], Any], tasks: Sequence[Any]) -> Iterator[Any]:
     """Keep a bounded number of tasks on the cluster, however large it is by now."""
     waiting: list[Any] = []
     place = 0
     while place < len(tasks) or waiting:
         ahead = max(1, _AHEAD * int(ray.cluster_resources().get("CPU", 1.0)))
         while place < len(tasks) and len(waiting) < ahead:
-            waiting.append(remote.remote(tasks[place]))
+            waiting.append(remote.remote(work, tasks[place]))
             place += 1
         ready, waiting = ray.wait(waiting, num_returns=1, timeout=_PATIENCE_S)
         for reference in ready:

@@ -2,6 +2,7 @@
 
 import os
 import signal
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from typing import TypeVar
 
@@ -9,17 +10,18 @@ import structlog
 from joblib import Parallel, delayed
 from joblib.externals.loky.process_executor import BrokenProcessPool
 
-from companion.errors import CompanionError
+from companion.errors import StartError
 
 _Task = TypeVar("_Task")
 _Result = TypeVar("_Result")
 
 _DEATHS_IN_A_ROW = 3
+_WATCH_PERIOD_S = 1.0
 
 _log = structlog.get_logger(__name__)
 
 
-class WorkersError(CompanionError):
+class WorkersError(StartError):
     """Worker processes die again and again, or cannot be had; the text says what is known."""
 
 
@@ -56,7 +58,8 @@ def on_processes(work: Callable[[_Task], _Result], tasks: Sequence[_Task], worke
             return_as="generator_unordered",
             batch_size=1,
             pre_dispatch="3*n_jobs",
-            initializer=_leave_interrupts_to_the_parent,
+            initializer=_obey,
+            initargs=(os.getpid(),),
         )
         results = pool(delayed(_numbered)(work, number, task) for number, task in list(left.items()))
         try:
@@ -77,6 +80,18 @@ def _numbered(work: Callable[[_Task], _Result], number: int, task: _Task) -> tup
     return number, work(task)
 
 
-def _leave_interrupts_to_the_parent() -> None:
-    """Ctrl-C reaches the whole group of processes; only the parent knows how to end in order."""
+def _obey(parent: int) -> None:
+    """Make this process end when its parent does, and only then.
+
+    Ctrl-C reaches the whole group of processes, but only the parent knows how to end in order. If the parent
+    is killed it can tell nobody, so somebody has to look.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+    def watch() -> None:
+        never = threading.Event()
+        while os.getppid() == parent:
+            never.wait(_WATCH_PERIOD_S)
+        os._exit(0)
+
+    threading.Thread(target=watch, name="parent-watch", daemon=True).start()

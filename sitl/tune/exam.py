@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from companion.errors import CompanionError
+from companion.errors import ProfileError
 from sitl.campaign import paper_numbers as paper
 from sitl.campaign.definition import WorldEntry
 from sitl.swarm.record import TrialRecord
@@ -18,7 +18,7 @@ _PUBLISHED_AS = {"vpf_polar": "vpf", "flock": paper.PROPOSED}
 _WORST = 1e4
 
 
-class NoTargetError(CompanionError):
+class NoTargetError(ProfileError):
     """The paper has no numbers for a method; the text says what to do."""
 
 

@@ -1,0 +1,180 @@
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from companion.exit_codes import ExitCode
+from sitl.campaign.journal import JOURNAL_NAME
+from sitl.campaign.store import TABLE_NAME, read_trials
+from sitl.campaign.trials import prepare
+from sitl.cli import main
+
+CAMPAIGN = "title: Small\nworlds: [none, pillars_10m]\nmethods: [flock, vpf]\nfollowers: [2]\ntrials: 3\n"
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _kernels() -> None:
+    prepare()
+
+
+@pytest.fixture
+def definition(tmp_path: Path) -> Path:
+    path = tmp_path / "campaign.yaml"
+    path.write_text(CAMPAIGN, encoding="utf-8")
+    return path
+
+
+def flown(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, dict[str, Any]]:
+    code = main([*map(str, arguments), "--json"])
+    result: dict[str, Any] = json.loads(capsys.readouterr().out.splitlines()[-1])
+    return code, result
+
+
+def test_a_campaign_leaves_rows_a_table_and_a_report(
+    definition: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    code, result = flown(capsys, "campaign", definition, "--workers", 1, "--out", out)
+    assert code == ExitCode.OK
+    cases = [(row["world"], row["method"], row["followers"], row["trials"]) for row in result["rows"]]
+    assert cases == [(w, m, 2, 3) for w in ("none", "pillars_10m") for m in ("flock", "vpf")]
+    for row in result["rows"]:
+        assert {"fidelity", "SR", "SR_ci95", "MP", "FR", "MS", "AL", "MDO", "failures"} <= row.keys()
+        assert row["SR"] == pytest.approx(100.0 * (3 - sum(row["failures"].values())) / 3)
+    assert len(read_trials(out / TABLE_NAME)) == 12
+    assert all(Path(file).exists() for file in result["files"])
+
+
+def test_workers_do_not_change_a_byte(
+    definition: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    one, two = tmp_path / "one", tmp_path / "two"
+    _, first = flown(capsys, "campaign", definition, "--workers", 1, "--out", one)
+    _, second = flown(capsys, "campaign", definition, "--workers", 2, "--out", two)
+    assert first["rows"] == second["rows"]
+    for name in (TABLE_NAME, "tables.md", "tables.tex", "campaign.json"):
+        assert (one / name).read_bytes() == (two / name).read_bytes()
+
+
+def test_methods_fly_the_same_scenes(
+    definition: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    flown(capsys, "campaign", definition, "--workers", 1, "--out", tmp_path / "out")
+    scenes: dict[tuple[str, int], set[tuple[int, str]]] = {}
+    for trial in read_trials(tmp_path / "out" / TABLE_NAME):
+        scenes.setdefault((trial.world, trial.trial), set()).add((trial.seed, trial.scene_hash))
+    assert len(scenes) == 6
+    assert all(len(seen) == 1 for seen in scenes.values())
+    assert len(set.union(*scenes.values())) == 6
+
+
+def test_a_part_of_a_campaign_can_be_flown(
+    definition: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    part = ["--worlds", "pillars_10m", "--methods", "vpf", "--followers", "2", "--trials", "1"]
+    _, result = flown(capsys, "campaign", definition, *part, "--workers", 1, "--out", tmp_path / "out")
+    assert [(row["world"], row["method"], row["trials"]) for row in result["rows"]] == [
+        ("pillars_10m", "vpf", 1)
+    ]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["--worlds", "moon"], "no world 'moon'; it has none, pillars_10m"),
+        (["--methods", "flock,boids"], "no method 'boids'; it has flock, vpf"),
+        (["--followers", "7"], "no number of followers '7'; it has 2"),
+    ],
+)
+def test_what_the_campaign_does_not_have_is_refused(
+    definition: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], told: str
+) -> None:
+    code, result = flown(capsys, "campaign", definition, *arguments, "--out", tmp_path / "out")
+    assert code == ExitCode.CONFIG
+    assert told in result["error"]
+    assert not (tmp_path / "out").exists()
+
+
+def test_workers_and_a_cluster_exclude_each_other(
+    definition: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, _ = flown(capsys, "campaign", definition, "--workers", 2, "--ray", "auto")
+    assert code == ExitCode.USAGE
+
+
+def test_a_folder_of_another_campaign_is_refused_in_one_sentence(
+    definition: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    part = ["--worlds", "none", "--methods", "flock", "--workers", 1, "--out", tmp_path / "out"]
+    flown(capsys, "campaign", definition, *part)
+    definition.write_text(f"{CAMPAIGN}seed: 2\n", encoding="utf-8")
+    code, result = flown(capsys, "campaign", definition, *part)
+    assert code == ExitCode.DATA
+    assert "holds another campaign: rules.seed was 1, now 2; choose another folder" in result["error"]
+
+
+def test_a_trial_flies_again_as_it_did(
+    definition: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, log = tmp_path / "out", tmp_path / "trial.mcap"
+    flown(capsys, "campaign", definition, "--workers", 1, "--out", out)
+    [trial] = [
+        trial
+        for trial in read_trials(out / TABLE_NAME)
+        if (trial.world, trial.method, trial.trial) == ("pillars_10m", "vpf", 2)
+    ]
+    which = ["--world", "pillars_10m", "--method", "vpf", "--followers", 2, "--trial", 2]
+    code, result = flown(capsys, "trial", out, *which, "--out", log)
+    assert code == ExitCode.OK
+    assert (result["end"], result["t_end_s"]) == (trial.end, trial.t_end_s)
+    assert log.stat().st_size > 10_000
+    again, _ = flown(capsys, "trial", out, *which, "--out", log)
+    assert again == ExitCode.DATA
+
+
+@pytest.mark.parametrize(
+    ("world", "name", "told"),
+    [("moon", "log.mcap", "no world 'moon'; it has none"), ("none", "log.txt", "ends in .mcap")],
+)
+def test_a_trial_that_cannot_be_flown_again_is_refused(
+    definition: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], world: str, name: str, told: str
+) -> None:
+    out = tmp_path / "out"
+    flown(capsys, "campaign", definition, "--trials", 1, "--worlds", "none", "--workers", 1, "--out", out)
+    which = ["--world", world, "--method", "flock", "--followers", 2, "--trial", 0]
+    code, result = flown(capsys, "trial", out, *which, "--out", tmp_path / name)
+    assert code == ExitCode.DATA
+    assert told in result["error"]
+
+
+@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGINT])
+def test_a_stopped_campaign_goes_on_to_the_same_result(
+    definition: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], how: signal.Signals
+) -> None:
+    out, whole = tmp_path / "out", tmp_path / "whole"
+    arguments = ["--trials", "40", "--worlds", "none", "--methods", "flock"]
+    command = [sys.executable, "-m", "sitl", "campaign", str(definition), *arguments, "--workers", "2"]
+    child = subprocess.Popen([*command, "--out", str(out)], stderr=subprocess.PIPE, text=True)
+    assert child.stderr is not None
+    with child.stderr as lines:
+        for line in lines:
+            # The second line of progress: results have come, and most are still to come.
+            if " of 40 trials" in line and not line.startswith("Small: 0 "):
+                os.kill(child.pid, how)
+                break
+        told = lines.read()
+    code = child.wait()
+    before = len((out / JOURNAL_NAME).read_bytes().splitlines())
+    assert 0 < before < 40
+    if how is signal.SIGINT:
+        assert code == ExitCode.INTERRUPTED
+        assert "the same command goes on from what is in" in told
+        assert len(read_trials(out / TABLE_NAME)) == before
+    for folder in (out, whole):
+        flown(capsys, "campaign", definition, *arguments, "--workers", 1, "--out", folder)
+    assert (out / TABLE_NAME).read_bytes() == (whole / TABLE_NAME).read_bytes()
