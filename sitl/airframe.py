@@ -1,5 +1,7 @@
 """One quadrotor in a world: its motion, the wind on it, and what it touches."""
 
+import math
+
 import numpy as np
 from numpy.random import Generator
 
@@ -35,6 +37,7 @@ class Airframe:
         yaw = np.array([float(rotation.yaw_of(T_world_start.q))])
         self._state: QuadrotorState = at_rest(T_world_start.p[None, :], yaw, settings=quadrotor)
         self._touching = False
+        self._room_m = 0.0
         self.collisions = 0
 
     @property
@@ -81,5 +84,10 @@ class Airframe:
     def _touches(self, start_world: FloatArray, end_world: FloatArray) -> bool:
         if len(self._obstacles) == 0:
             return False
+        # Nothing can be touched before the way to the nearest surface, as last measured, has been flown.
+        self._room_m -= math.dist(start_world[0].tolist(), end_world[0].tolist())
+        if self._room_m > 0.0:
+            return False
+        self._room_m = float(self._obstacles.clearance(end_world)[0]) - self._radius_m
         contact = self._obstacles.first_contact(start_world, end_world, self._radius_m)
         return bool(np.isfinite(contact[0]))

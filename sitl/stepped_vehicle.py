@@ -8,11 +8,11 @@ from sitl.mavlink_emulator import Outgoing, Peer
 from sitl.network import Network
 from sitl.operator import Operator
 from sitl.scenario import Stage
+from sitl.slots import PointSlots
 from sitl.stepped_companion import SteppedCompanion
 from sitl.stepped_peer import ADDRESS as PEER_ADDRESS
 from sitl.stepped_peer import SteppedPeer
 from sitl.vehicle import SimulatedVehicle, build_livox, build_operator
-from sitl.worlds.primitives import World
 
 _TRUTH_PERIOD_NS = seconds_to_ns(0.02)
 
@@ -64,13 +64,13 @@ class SteppedVehicle:
         """Advance the airframe by 5 ms."""
         self.simulated.move()
 
-    def live(self, world: World | None = None) -> None:
+    def live(self, slots: PointSlots | None = None) -> None:
         """Measure and talk during the step just made.
 
         Args:
-            world: as it was in the middle of the step, if something moves in it.
+            slots: what the LiDAR measured, if somebody else simulates it.
         """
-        measured = self.simulated.measure(world)
+        measured = self.simulated.measure(slots)
         t_ns = self.simulated.t_ns
         self._dispatch(self.simulated.mavlink.poll(t_ns))
         lidar = self._livox.inertial(measured.inertial) + self._livox.points(measured.slots)

@@ -17,14 +17,18 @@ from sitl.sensor_rig import SensorRig
 from sitl.sensors.imu import ImuModel, ImuSettings
 from sitl.sensors.mid360 import Mid360Model, Mid360Settings
 from sitl.slots import InertialSlot, PointSlots
-from sitl.worlds.primitives import World
+
+
+def build_lidar(stage: Stage) -> Mid360Model:
+    """Return the vehicle's LiDAR at power-on."""
+    return Mid360Model(stage.generator("lidar"), stage.profile.vehicle.T_body_lidar, Mid360Settings())
 
 
 def build_sensors(stage: Stage) -> SensorRig:
     """Return the vehicle's LiDAR and IMU at power-on."""
     T_body_lidar = stage.profile.vehicle.T_body_lidar
     return SensorRig(
-        Mid360Model(stage.generator("lidar"), T_body_lidar, Mid360Settings()),
+        build_lidar(stage),
         ImuModel(stage.generator("imu"), T_body_lidar, ImuSettings()),
         stage.world,
     )
@@ -102,16 +106,16 @@ class SimulatedVehicle:
         self.airframe.step(command)
         self._t_ns += STEP_NS
 
-    def measure(self, world: World | None = None) -> Measured:
+    def measure(self, slots: PointSlots | None = None) -> Measured:
         """Return what the sensor measured during the step just made.
 
         Args:
-            world: as it was in the middle of that step, for worlds in which something moves.
+            slots: what the LiDAR measured, if somebody else simulates it.
         """
-        slots, inertial = self._sensors.step(
-            self._before, self.airframe.kinematics, STEP_NS, self.airframe.thrust, world
-        )
-        return Measured(slots, inertial)
+        start, end, thrust = self._before, self.airframe.kinematics, self.airframe.thrust
+        if slots is not None:
+            return Measured(slots, self._sensors.feel(start, end, STEP_NS, thrust))
+        return Measured(*self._sensors.step(start, end, STEP_NS, thrust))
 
     def true_pose(self) -> StampedPose:
         """Return the body's true pose in the world, for the log."""

@@ -16,6 +16,7 @@ import numpy as np
 
 from companion.errors import CompanionError
 from companion.messages import FloatArray
+from sitl.swarm.eyes import lent_eyes, midway_of, slots_as_bytes, slots_from_bytes
 from sitl.swarm.lockstep import FlightPlan, Share
 from sitl.swarm.table import WIDTH, Table
 
@@ -32,13 +33,17 @@ class WorkerLostError(CompanionError):
 class Worker:
     """One share in a process of its own, seen from the process that gathers."""
 
-    def __init__(self, plan: FlightPlan, numbers: Sequence[int]) -> None:
-        """Start the process."""
+    def __init__(self, plan: FlightPlan, numbers: Sequence[int], blind: Sequence[int]) -> None:
+        """Start the process; it will be told what the vehicles in `blind` see."""
         context = multiprocessing.get_context("spawn")
         self.numbers = list(numbers)
+        self.blind = sorted(blind)
         self._connection, theirs = context.Pipe()
         self._process: BaseProcess = context.Process(
-            target=_fly_share, args=(plan, tuple(numbers), theirs), name="swarm-share", daemon=True
+            target=_fly_share,
+            args=(plan, tuple(numbers), tuple(blind), theirs),
+            name="swarm-share",
+            daemon=True,
         )
         self._process.start()
         theirs.close()
@@ -68,8 +73,16 @@ class Worker:
         Raises:
             WorkerLostError: if nobody hears it.
         """
+        self.send(flag + table.tobytes())
+
+    def send(self, data: bytes) -> None:
+        """Send anything else.
+
+        Raises:
+            WorkerLostError: if nobody hears it.
+        """
         try:
-            self._connection.send_bytes(flag + table.tobytes())
+            self._connection.send_bytes(data)
         except OSError:
             raise WorkerLostError(self._epitaph()) from None
 
@@ -106,8 +119,11 @@ class Swarm:
         self._size = plan.vehicles
         self._share: Share | None = None
         try:
-            self._workers = [Worker(plan, numbers) for numbers in shares[1:]]
-            self._share = Share(plan, self._own)
+            lent = lent_eyes(shares)
+            for index, numbers in enumerate(shares[1:], start=1):
+                self._workers.append(Worker(plan, numbers, lent.get(index, ())))
+            hosted = [number for numbers in lent.values() for number in numbers]
+            self._share = Share(plan, self._own, hosted=hosted)
         except BaseException:
             self.close()
             raise
@@ -141,7 +157,11 @@ class Swarm:
         """
         assert self._share is not None
         self._tell(_START_GIVEN if start_given else _GOING_ON, now)
-        self._share.live(before, now, start_given=start_given)
+        midway = midway_of(before, now)
+        for worker in self._workers:
+            for number in worker.blind:
+                worker.send(slots_as_bytes(self._share.eyes[number].look(before, now, midway)))
+        self._share.live(before, now, midway, start_given=start_given)
 
     def end(self, now: Table) -> None:
         """Let everybody complete their logs."""
@@ -171,7 +191,9 @@ class Swarm:
             worker.tell(flag, table.rows)
 
 
-def _fly_share(plan: FlightPlan, numbers: tuple[int, ...], connection: Connection) -> None:
+def _fly_share(
+    plan: FlightPlan, numbers: tuple[int, ...], blind: tuple[int, ...], connection: Connection
+) -> None:
     """Advance one share until told to end or hung up on; runs in its own process."""
     # Ctrl-C reaches the whole group; the process that gathers decides what follows.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -181,7 +203,7 @@ def _fly_share(plan: FlightPlan, numbers: tuple[int, ...], connection: Connectio
     with contextlib.suppress(EOFError, BrokenPipeError, ConnectionResetError, KeyboardInterrupt):
         try:
             load_kernels()
-            share = Share(plan, numbers)
+            share = Share(plan, numbers, blind=blind)
             try:
                 _serve(share, connection)
             finally:
@@ -203,6 +225,12 @@ def _serve(share: Share, connection: Connection) -> None:
         if flag == _OVER:
             return
         if before is not None:
-            share.live(before, now, start_given=flag == _START_GIVEN)
+            share.live(
+                before,
+                now,
+                midway_of(before, now),
+                start_given=flag == _START_GIVEN,
+                receive=lambda: slots_from_bytes(connection.recv_bytes()),
+            )
         before = now
         rows = share.move()

@@ -15,6 +15,7 @@ from companion.logs.writer import FlightLog
 from companion.messages import FlightState, FloatArray
 from sitl import dynamics
 from sitl.scenario import Scenario, Stage
+from sitl.slots import PointSlots
 from sitl.stepped_vehicle import SteppedVehicle
 from sitl.swarm.scene import SwarmScene
 from sitl.swarm.sight import LeaderSight
@@ -34,8 +35,6 @@ from sitl.swarm.table import (
     V,
 )
 from sitl.vehicle import operator_settings
-from sitl.worlds.bodies import Bodies
-from sitl.worlds.uav_body import UavBodySettings, uav_body
 
 ROTOR_HZ = 95.0
 LIGHT_ODOMETRY_HZ = 20.0
@@ -122,14 +121,13 @@ def _member_profile(crew: Crew, scene: SwarmScene, number: int, T_world_start: P
 class Member:
     """One vehicle among others, in steps of 5 ms."""
 
-    def __init__(self, stage: Stage, log: FlightLog, number: int, vehicles: int, boot_ns: int) -> None:
+    def __init__(self, stage: Stage, log: FlightLog, number: int, boot_ns: int) -> None:
         """Switch everything on at host time `boot_ns`.
 
         Args:
             stage: of this vehicle.
             log: of this vehicle.
             number: which of them it is.
-            vehicles: how many there are.
             boot_ns: time of power-on.
         """
         operator = stage.scenario.operator
@@ -141,8 +139,6 @@ class Member:
             swarm_operator(operator_settings(stage), operator.takeoff_height_m, self._signal),
         )
         self._sight = LeaderSight(number) if number > 0 else None
-        self._others = np.array([other for other in range(vehicles) if other != number])
-        self._bodies = Bodies(stage.world, [uav_body(UavBodySettings())] * (vehicles - 1))
         spread = stage.generator("rotors").uniform(-_ROTOR_SPREAD, _ROTOR_SPREAD)
         self._rotor_turn = 2.0 * math.pi * ROTOR_HZ * (1.0 + spread) * dynamics.STEP_S
         self._turn = 0.0
@@ -177,18 +173,16 @@ class Member:
             return True
         return tracks is not None and any(track.validated for track in tracks.tracks)
 
-    def live(self, midway: tuple[FloatArray, FloatArray], now: Table, *, start_given: bool) -> None:
+    def live(self, slots: PointSlots, now: Table, *, start_given: bool) -> None:
         """Measure and talk during the step just made.
 
         Args:
-            midway: positions (n, 3) and attitudes (n, 4) of everybody in the middle of the step.
+            slots: what the LiDAR measured.
             now: everybody at its end.
             start_given: all are ready and may be authorised.
         """
-        others = self._others
-        p_world, q_world_body = midway
         self._signal.given = start_given
-        self._vehicle.live(self._bodies.at(p_world[others], q_world_body[others], now.turns[others]))
+        self._vehicle.live(slots)
         if self._sight is not None:
             self._sight.remember(self._vehicle.simulated.t_ns, now)
             companion = self._vehicle.companion
