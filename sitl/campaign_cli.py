@@ -127,7 +127,8 @@ def _log_of(folder: Path, record: "TrialRecord") -> str | None:
 
 
 def _executor(workers: int | None, ray: str | None) -> "Execute":
-    from sitl.campaign.trials import fly_scenes, prepare
+    from sitl.campaign.scenes import prepare
+    from sitl.campaign.trials import fly_scenes
 
     if ray is not None:
         from sitl.campaign.ray_runner import on_cluster

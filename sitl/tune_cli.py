@@ -43,7 +43,8 @@ def tune(
         from companion.errors import ProfileError
         from sitl.campaign.progress import ProgressLine
         from sitl.campaign.runner import Progress
-        from sitl.campaign.trials import fly_scenes, prepare
+        from sitl.campaign.scenes import prepare
+        from sitl.campaign.trials import fly_scenes
         from sitl.campaign.workers import cores, on_processes
         from sitl.tune.stored import BASE, store, stored_text
         from sitl.tune.tuning import tune as tune_law

@@ -8,7 +8,7 @@ from companion.clock import SystemClock
 from companion.control.followers.settings import FollowerSettings
 from sitl.abstract.flight import fly_abstract
 from sitl.abstract.settings import AbstractSettings
-from sitl.campaign.trials import prepare
+from sitl.campaign.scenes import prepare
 from sitl.swarm.scene import set_scene
 from sitl.swarm.settings import SwarmSettings
 from sitl.worlds.seeds import training_seed

@@ -7,8 +7,8 @@ from pathlib import Path
 from companion.errors import LogError
 from sitl.campaign.conditions import CONDITIONS_NAME, Conditions, kept_conditions
 from sitl.campaign.journal import Key
+from sitl.campaign.scenes import scene_of
 from sitl.campaign.trial_log import write_trial_log
-from sitl.campaign.trials import scene_of
 from sitl.swarm.record import TrialRecord
 
 

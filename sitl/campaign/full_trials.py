@@ -6,8 +6,8 @@ from pathlib import Path
 
 from companion.kernel_cache import load_kernels
 from sitl.campaign.conditions import Rules, Variant
+from sitl.campaign.scenes import prepare, scene_of
 from sitl.campaign.tasks import SceneTask
-from sitl.campaign.trials import prepare, scene_of
 from sitl.scenario import Scenario
 from sitl.swarm.full import FullFlight, fly_full
 from sitl.swarm.record import TrialRecord

@@ -6,7 +6,8 @@ from pathlib import Path
 from sitl.abstract.flight_log import write_log
 from sitl.campaign.conditions import Conditions
 from sitl.campaign.journal import Key, key_of
-from sitl.campaign.trials import fly_one, prepare, scene_of
+from sitl.campaign.scenes import prepare, scene_of
+from sitl.campaign.trials import fly_one
 from sitl.swarm.record import TrialRecord
 
 

@@ -1,21 +1,14 @@
 """One task of a worker: build scenes, fly every method in each, return what they came to."""
 
-import functools
 from dataclasses import replace
-from pathlib import Path
 
-import companion
-import sitl
-from companion.compiled import warm_up
-from companion.kernel_cache import forget_stale_kernels
 from sitl.abstract.course import Course
 from sitl.abstract.flight import AbstractFlight, fly_abstract
 from sitl.campaign.conditions import Rules, Variant
-from sitl.campaign.definition import WorldEntry
-from sitl.campaign.tasks import SceneTask, trial_seed
+from sitl.campaign.scenes import prepare, scene_of
+from sitl.campaign.tasks import SceneTask
 from sitl.swarm.record import TrialRecord
-from sitl.swarm.scene import SwarmScene, set_scene
-from sitl.swarm.settings import SwarmSettings
+from sitl.swarm.scene import SwarmScene
 
 
 def fly_scenes(task: SceneTask) -> list[TrialRecord]:
@@ -34,20 +27,6 @@ def fly_scenes(task: SceneTask) -> list[TrialRecord]:
             course = flight.course
             records.append(replace(flight.record, method=label))
     return records
-
-
-def scene_of(rules: Rules, world: WorldEntry, followers: int, trial: int) -> SwarmScene:
-    """Build the scene of a trial."""
-    seed = trial_seed(rules.seed, world.site_name, followers, trial, held_out=rules.seeds == "held_out")
-    return set_scene(swarm_of(rules, world, followers), world.site_name, seed)
-
-
-def swarm_of(rules: Rules, world: WorldEntry, followers: int) -> SwarmSettings:
-    """Return the swarm that flies in one world of a campaign."""
-    leader = rules.swarm.leader
-    if world.behaviour is not None:
-        leader = leader.model_copy(update={"behaviour": world.behaviour})
-    return rules.swarm.model_copy(update={"followers": followers, "leader": leader})
 
 
 def fly_one(
@@ -84,11 +63,3 @@ def fly_one(
         trial=trial,
         course=course,
     )
-
-
-@functools.cache
-def prepare() -> None:
-    """Load all kernels from the disk, once in this process; those whose sources have changed are compiled."""
-    root, laws = Path(sitl.__file__).parent, Path(companion.__file__).parent
-    forget_stale_kernels(root, [*laws.rglob("*kernels.py"), *(root / "abstract").glob("*.py")])
-    warm_up()

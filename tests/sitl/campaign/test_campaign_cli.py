@@ -10,8 +10,8 @@ import pytest
 
 from companion.exit_codes import ExitCode
 from sitl.campaign.journal import JOURNAL_NAME
+from sitl.campaign.scenes import prepare
 from sitl.campaign.store import TABLE_NAME, read_trials
-from sitl.campaign.trials import prepare
 from sitl.cli import main
 
 CAMPAIGN = "title: Small\nworlds: [none, pillars_10m]\nmethods: [flock, vpf]\nfollowers: [2]\ntrials: 3\n"

@@ -11,9 +11,10 @@ from sitl.campaign.conditions import conditions_of
 from sitl.campaign.definition import CampaignDefinition
 from sitl.campaign.ray_runner import on_cluster
 from sitl.campaign.runner import run_campaign
+from sitl.campaign.scenes import prepare
 from sitl.campaign.store import TABLE_NAME
 from sitl.campaign.tasks import SceneTask, selection_of
-from sitl.campaign.trials import fly_scenes, prepare
+from sitl.campaign.trials import fly_scenes
 from sitl.swarm.record import TrialRecord
 from tests.sitl.campaign.chores import die_once, fly_or_die
 

@@ -1,0 +1,38 @@
+"""The scene of any trial of a campaign, and the kernels without which none can be flown."""
+
+import functools
+import importlib
+from pathlib import Path
+
+import companion
+import sitl
+from companion.compiled import warm_up
+from companion.kernel_cache import forget_stale_kernels
+from sitl.campaign.conditions import Rules
+from sitl.campaign.definition import WorldEntry
+from sitl.campaign.tasks import trial_seed
+from sitl.swarm.scene import SwarmScene, set_scene
+from sitl.swarm.settings import SwarmSettings
+
+
+def scene_of(rules: Rules, world: WorldEntry, followers: int, trial: int) -> SwarmScene:
+    """Build the scene of a trial."""
+    seed = trial_seed(rules.seed, world.site_name, followers, trial, held_out=rules.seeds == "held_out")
+    return set_scene(swarm_of(rules, world, followers), world.site_name, seed)
+
+
+def swarm_of(rules: Rules, world: WorldEntry, followers: int) -> SwarmSettings:
+    """Return the swarm that flies in one world of a campaign."""
+    leader = rules.swarm.leader
+    if world.behaviour is not None:
+        leader = leader.model_copy(update={"behaviour": world.behaviour})
+    return rules.swarm.model_copy(update={"followers": followers, "leader": leader})
+
+
+@functools.cache
+def prepare() -> None:
+    """Load all kernels from the disk, once in this process; those whose sources have changed are compiled."""
+    root, laws = Path(sitl.__file__).parent, Path(companion.__file__).parent
+    forget_stale_kernels(root, [*laws.rglob("*kernels.py"), *(root / "abstract").glob("*.py")])
+    importlib.import_module("sitl.abstract.flight")
+    warm_up()
