@@ -10,6 +10,7 @@ import typer
 
 from companion import __version__
 from companion.command_line import AsJson, Result, conclude, run
+from companion.errors import ProfileError
 from companion.exit_codes import ExitCode
 from sitl.bench_cli import app as bench_app
 from sitl.campaign_cli import campaign, trial
@@ -111,18 +112,17 @@ def run_scenario(
     the process that flies is `companion fly` itself. Leaves with 0 on success and 3 when the flight failed.
     """
     truth_address = _address(px4_truth)
+    if wire and px4 is not None:
+        raise typer.BadParameter("--wire and --px4 exclude each other: both fly in real time")
 
     def body() -> tuple[Result, ExitCode]:
         from sitl.outcome import evaluate
         from sitl.scenario import load_scenario
 
-        if wire and px4 is not None:
-            raise typer.BadParameter("--wire and --px4 exclude each other: both fly in real time")
-
         wanted = load_scenario(scenario)
         if wanted.swarm is not None:
             if wire or px4 is not None:
-                raise typer.BadParameter("a swarm flies in lockstep only: take --wire and --px4 away")
+                raise ProfileError(f"{scenario}: a swarm flies in lockstep only: take --wire and --px4 away")
             return run_swarm(
                 wanted,
                 scenario.parent,
@@ -135,7 +135,7 @@ def run_scenario(
                 on_progress=_show,
             )
         if fidelity == "abstract":
-            raise typer.BadParameter("only a scenario with a section swarm has an abstract fidelity")
+            raise ProfileError(f"{scenario}: without a section swarm there is no abstract fidelity")
         out.mkdir(parents=True, exist_ok=True)
         log = out / LOG_NAME
         for older in (log, log.with_name(f"{LOG_NAME}.open")):
