@@ -5,16 +5,21 @@
    lead, and the others come along by themselves.
 3. Separation, and stepping aside from whoever is about to pass too near.
 4. A gentle flow round obstacles.
-5. The wish is projected onto half-spaces: towards an obstacle at distance d, v.n <= a (d - margin); towards a
-   neighbour the same, plus a share of the neighbour's own velocity.
+5. Where an obstacle is in the way the wish turns to where it can be flown fastest.
+6. What remains is projected onto half-planes of the velocities that obstacles and neighbours allow.
 """
 
 import math
 
 from companion.compiled import inlined
+from companion.control.followers.flock_limit_kernels import (
+    limit_by_neighbours,
+    limit_by_obstacles,
+    project,
+    take_detour,
+)
 from companion.control.followers.flock_memory_kernels import (
-    recall_neighbour,
-    recall_obstacle,
+    recall_neighbours,
     remember_neighbours,
     remember_obstacles,
 )
@@ -40,33 +45,26 @@ from companion.control.followers.layout_kernels import (
     FLOCK_FLOW,
     FLOCK_FLOW_REACH,
     FLOCK_FLOW_TURN,
+    FLOCK_HEED,
     FLOCK_HEIGHT_GAIN,
     FLOCK_LEAD,
-    FLOCK_NEIGHBOUR_MARGIN,
-    FLOCK_NEIGHBOUR_MEMORY,
-    FLOCK_NEIGHBOUR_RATE,
-    FLOCK_NEIGHBOUR_SHARE,
-    FLOCK_OBSTACLE_MARGIN,
-    FLOCK_OBSTACLE_RATE,
-    FLOCK_POINT_COUNT,
+    FLOCK_LINK,
+    FLOCK_LINK_LENGTH,
     FLOCK_PURSUIT,
-    FLOCK_SCAN_DELAY,
     FLOCK_SEPARATION,
     FLOCK_SEPARATION_REACH,
-    FLOCK_SLOT_COUNT,
     FLOCK_TOP_WEIGHT,
-    MAX_ACCELERATION,
+    FLOCK_VIEW,
+    FLOCK_VIEW_SIZE,
+    FLOCK_WISH,
     MAX_SPEED,
-    PREVIOUS,
     RECOVERY_HEIGHT,
 )
 from companion.control.followers.sensing_kernels import direction_of, find_columns
 from companion.messages import FloatArray
 
-_PASSES = 6
 _TOUCHING_M = 0.35
 _LEAST_GAP_M = 0.1
-_FASTEST_RETREAT_MPS = 1.0
 _FLOW_COLUMNS = 72.0 / 8.0
 _COS_AHEAD = math.cos(math.radians(70.0))
 _SAME_PLACE_M = 1e-6
@@ -86,25 +84,31 @@ def flock(
     remember_neighbours(ego, neighbours, memory, parameters)
     find_columns(ranges, parameters[FLOCK_BAND_BELOW], parameters[FLOCK_BAND_ABOVE], memory, FLOCK_COLUMNS)
     remember_obstacles(ego, memory, parameters)
-    _gather(ego, memory, parameters, wish)
+    known = recall_neighbours(ego, memory, parameters)
+    _gather(ego, known, memory, parameters, wish)
+    _close_gaps(known, memory, parameters, wish)
     _flow_round(memory, parameters, wish)
-    _approach(ego, memory, parameters, wish)
-    _project(ego, memory, parameters, wish)
+    count = limit_by_obstacles(ego, memory, parameters)
+    _limit_speed(parameters, wish)
+    take_detour(ego, count, memory, parameters, wish)
+    count = limit_by_neighbours(ego, known, count, memory, parameters)
+    project(count, memory, wish)
+    _remember_wish(ego, memory, wish)
 
 
 @inlined
-def _gather(ego: FloatArray, memory: FloatArray, parameters: FloatArray, wish: FloatArray) -> None:
+def _gather(
+    ego: FloatArray, known: int, memory: FloatArray, parameters: FloatArray, wish: FloatArray
+) -> None:
     """Cohesion, following, separation, stepping aside and height; carry on alone if nobody is known."""
-    longest = max(parameters[FLOCK_NEIGHBOUR_MEMORY], 1e-3)
     lead = parameters[FLOCK_LEAD]
     reach = parameters[FLOCK_SEPARATION_REACH]
-    total, pull_x, pull_y, flow_x, flow_y = 0.0, 0.0, 0.0, 0.0, 0.0
+    total, pull_x, pull_y, heeded, flow_x, flow_y = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     push_x, push_y, rise, rises, top = 0.0, 0.0, 0.0, 0.0, -math.inf
-    for slot in range(FLOCK_SLOT_COUNT):
-        x, y, z, vx, vy, _vz, age = recall_neighbour(slot, ego, memory)
-        if age < 0.0:
-            continue
-        trust = max(1.0 - age / longest, 0.0)
+    for index in range(known):
+        row = FLOCK_VIEW + index * FLOCK_VIEW_SIZE
+        x, y, z = memory[row], memory[row + 1], memory[row + 2]
+        vx, vy, trust = memory[row + 3], memory[row + 4], memory[row + 5]
         wx, wy = vx - ego[EGO_V], vy - ego[EGO_V + 1]
         aside_x, aside_y = _step_aside(x, y, wx, wy, parameters)
         push_x += trust * aside_x
@@ -112,12 +116,15 @@ def _gather(ego: FloatArray, memory: FloatArray, parameters: FloatArray, wish: F
         x, y = x + lead * wx, y + lead * wy
         distance = max(math.sqrt(x * x + y * y), _SAME_PLACE_M)
         ex, ey = x / distance, y / distance
-        away = min(max(vx * ex + vy * ey, 0.0), parameters[MAX_SPEED])
+        # Both must hold: it leaves, and it is not only left behind.
+        away = max(min(wx * ex + wy * ey, vx * ex + vy * ey), 0.0)
         far = max(distance - reach, 0.0) / reach
         weight = trust * (1.0 + parameters[FLOCK_PURSUIT] * away) * (1.0 + parameters[FLOCK_FAR] * far)
         total += weight
         pull_x += weight * x
         pull_y += weight * y
+        weight = trust * (1.0 + parameters[FLOCK_HEED] * away)
+        heeded += weight
         flow_x += weight * vx
         flow_y += weight * vy
         rise += trust * z
@@ -132,12 +139,42 @@ def _gather(ego: FloatArray, memory: FloatArray, parameters: FloatArray, wish: F
         _coast(ego, memory, parameters, wish)
         return
     cohesion = parameters[FLOCK_COHESION] / (total + 1.0)
-    follow = parameters[FLOCK_FEED_FORWARD] / total
+    follow = parameters[FLOCK_FEED_FORWARD] / heeded
     wish[0] = cohesion * pull_x + follow * flow_x + push_x
     wish[1] = cohesion * pull_y + follow * flow_y + push_y
     share = parameters[FLOCK_TOP_WEIGHT]
     wanted = (1.0 - share) * rise / rises + share * top - parameters[FLOCK_BELOW]
     wish[2] = parameters[FLOCK_HEIGHT_GAIN] * wanted
+
+
+@inlined
+def _close_gaps(known: int, memory: FloatArray, parameters: FloatArray, wish: FloatArray) -> None:
+    """Pull towards far neighbours that nobody else is between.
+
+    Such pairs hold the flock together: if none of them parts, it stays in one piece. Nobody is between two if
+    nobody is nearer to both than they are to each other.
+
+    Source: the relative neighbourhood graph, G. T. Toussaint, 1980; it contains a shortest spanning tree.
+    """
+    for index in range(known):
+        row = FLOCK_VIEW + index * FLOCK_VIEW_SIZE
+        x, y = memory[row], memory[row + 1]
+        square = x * x + y * y
+        gap = math.sqrt(square) - parameters[FLOCK_LINK_LENGTH]
+        if gap <= 0.0:
+            continue
+        linked = True
+        for other in range(known):
+            between = FLOCK_VIEW + other * FLOCK_VIEW_SIZE
+            ox, oy = memory[between], memory[between + 1]
+            dx, dy = ox - x, oy - y
+            if other != index and ox * ox + oy * oy < square and dx * dx + dy * dy < square:
+                linked = False
+                break
+        if linked:
+            pull = memory[row + 5] * parameters[FLOCK_LINK] * gap / math.sqrt(square)
+            wish[0] += pull * x
+            wish[1] += pull * y
 
 
 @inlined
@@ -178,7 +215,7 @@ def _coast(ego: FloatArray, memory: FloatArray, parameters: FloatArray, wish: Fl
     """Nobody is known: go on as before for a while, and look for the others at the usual height."""
     cos_yaw, sin_yaw = math.cos(ego[EGO_YAW]), math.sin(ego[EGO_YAW])
     keep = math.exp(-ego[EGO_DT] / max(parameters[FLOCK_COAST], 1e-3))
-    vx, vy = memory[PREVIOUS], memory[PREVIOUS + 1]
+    vx, vy = memory[FLOCK_WISH], memory[FLOCK_WISH + 1]
     wish[0] = keep * (cos_yaw * vx + sin_yaw * vy)
     wish[1] = keep * (cos_yaw * vy - sin_yaw * vx)
     wish[2] = 0.0
@@ -208,70 +245,15 @@ def _flow_round(memory: FloatArray, parameters: FloatArray, wish: FloatArray) ->
 
 
 @inlined
-def _approach(ego: FloatArray, memory: FloatArray, parameters: FloatArray, wish: FloatArray) -> None:
-    """Limit the speed, and the step from the previous command, before safety has the last word."""
+def _limit_speed(parameters: FloatArray, wish: FloatArray) -> None:
     speed = math.sqrt(wish[0] * wish[0] + wish[1] * wish[1])
     if speed > parameters[MAX_SPEED]:
         wish[0] *= parameters[MAX_SPEED] / speed
         wish[1] *= parameters[MAX_SPEED] / speed
+
+
+@inlined
+def _remember_wish(ego: FloatArray, memory: FloatArray, wish: FloatArray) -> None:
     cos_yaw, sin_yaw = math.cos(ego[EGO_YAW]), math.sin(ego[EGO_YAW])
-    before_x = cos_yaw * memory[PREVIOUS] + sin_yaw * memory[PREVIOUS + 1]
-    before_y = cos_yaw * memory[PREVIOUS + 1] - sin_yaw * memory[PREVIOUS]
-    dx, dy = wish[0] - before_x, wish[1] - before_y
-    step = math.sqrt(dx * dx + dy * dy)
-    allowed = parameters[MAX_ACCELERATION] * ego[EGO_DT]
-    if step > allowed:
-        wish[0] = before_x + dx * allowed / step
-        wish[1] = before_y + dy * allowed / step
-
-
-@inlined
-def _project(ego: FloatArray, memory: FloatArray, parameters: FloatArray, wish: FloatArray) -> None:
-    """Project the wish onto the half-spaces of obstacles and neighbours in turn.
-
-    Source: cyclic projections, J. von Neumann 1933, L. Bregman 1965: they end in the intersection if there
-    is one.
-    """
-    delay = parameters[FLOCK_SCAN_DELAY]
-    rate, margin = parameters[FLOCK_OBSTACLE_RATE], parameters[FLOCK_OBSTACLE_MARGIN]
-    radius = parameters[FLOCK_BODY_RADIUS]
-    fastest = parameters[MAX_SPEED]
-    lead = parameters[FLOCK_LEAD]
-    for _ in range(_PASSES):
-        changed = False
-        for column in range(AZIMUTHS):
-            distance = memory[FLOCK_COLUMNS + column]
-            if not rate * (distance - radius - margin) < fastest + 0.5:
-                continue
-            angle = direction_of(column, AZIMUTHS)
-            nx, ny = math.cos(angle), math.sin(angle)
-            distance -= delay * (nx * ego[EGO_V] + ny * ego[EGO_V + 1])
-            changed |= _hold_back(nx, ny, rate * (distance - radius - margin), wish)
-        for point in range(FLOCK_POINT_COUNT):
-            x, y, distance = recall_obstacle(point, ego, memory, parameters)
-            if distance > _SAME_PLACE_M and rate * (distance - radius - margin) < fastest:
-                bound = rate * (distance - radius - margin)
-                changed |= _hold_back(x / distance, y / distance, bound, wish)
-        for slot in range(FLOCK_SLOT_COUNT):
-            x, y, _z, vx, vy, _vz, age = recall_neighbour(slot, ego, memory)
-            if age < 0.0:
-                continue
-            x, y = x + lead * (vx - ego[EGO_V]), y + lead * (vy - ego[EGO_V + 1])
-            distance = max(math.sqrt(x * x + y * y), _SAME_PLACE_M)
-            ex, ey = x / distance, y / distance
-            bound = parameters[FLOCK_NEIGHBOUR_RATE] * (distance - parameters[FLOCK_NEIGHBOUR_MARGIN])
-            bound += parameters[FLOCK_NEIGHBOUR_SHARE] * (vx * ex + vy * ey)
-            changed |= _hold_back(ex, ey, bound, wish)
-        if not changed:
-            return
-
-
-@inlined
-def _hold_back(nx: float, ny: float, bound: float, wish: FloatArray) -> bool:
-    """Take off the wish what exceeds `bound` along (nx, ny); return whether anything did."""
-    excess = wish[0] * nx + wish[1] * ny - max(bound, -_FASTEST_RETREAT_MPS)
-    if excess <= 1e-9:
-        return False
-    wish[0] -= excess * nx
-    wish[1] -= excess * ny
-    return True
+    memory[FLOCK_WISH] = cos_yaw * wish[0] - sin_yaw * wish[1]
+    memory[FLOCK_WISH + 1] = sin_yaw * wish[0] + cos_yaw * wish[1]

@@ -21,6 +21,8 @@ from companion.control.followers.layout_kernels import (
     FLOCK_SLOT_COUNT,
     FLOCK_SLOT_SIZE,
     FLOCK_SLOTS,
+    FLOCK_VIEW,
+    FLOCK_VIEW_SIZE,
     ROW_ID,
     ROW_P,
     ROW_PRESENT,
@@ -33,6 +35,7 @@ _SAME_BODY_M = 0.8
 _SAME_OBSTACLE_M = 0.15
 _REMEMBERED_WITHIN_M = 2.0
 _LONGEST_PREDICTION_S = 1.0
+_SHORTEST_MEMORY_S = 1e-3
 
 
 @inlined
@@ -97,32 +100,31 @@ def _slot_for(memory: FloatArray, number: float, px: float, py: float, pz: float
 
 
 @inlined
-def recall_neighbour(
-    slot: int, ego: FloatArray, memory: FloatArray
-) -> tuple[float, float, float, float, float, float, float]:
-    """Return where a neighbour is believed to be: relative position, own velocity, in the heading frame; age.
+def recall_neighbours(ego: FloatArray, memory: FloatArray, parameters: FloatArray) -> int:
+    """Write where everybody is believed to be; return how many are known.
 
-    A free slot has a negative age.
+    Rows of the view are relative position and own velocity in the heading frame, and trust: 1 for those seen,
+    less and less for others.
     """
-    at = FLOCK_SLOTS + slot * FLOCK_SLOT_SIZE
-    if memory[at] == 0.0:
-        return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0
     cos_yaw, sin_yaw = math.cos(ego[EGO_YAW]), math.sin(ego[EGO_YAW])
-    age = memory[at + 1]
-    ahead = min(age, _LONGEST_PREDICTION_S)
-    dx = memory[at + 2] + ahead * memory[at + 5] - ego[EGO_P]
-    dy = memory[at + 3] + ahead * memory[at + 6] - ego[EGO_P + 1]
-    dz = memory[at + 4] + ahead * memory[at + 7] - ego[EGO_P + 2]
-    vx, vy, vz = memory[at + 5], memory[at + 6], memory[at + 7]
-    return (
-        cos_yaw * dx + sin_yaw * dy,
-        cos_yaw * dy - sin_yaw * dx,
-        dz,
-        cos_yaw * vx + sin_yaw * vy,
-        cos_yaw * vy - sin_yaw * vx,
-        vz,
-        age,
-    )
+    longest = max(parameters[FLOCK_NEIGHBOUR_MEMORY], _SHORTEST_MEMORY_S)
+    count = 0
+    for slot in range(FLOCK_SLOT_COUNT):
+        at = FLOCK_SLOTS + slot * FLOCK_SLOT_SIZE
+        if memory[at] == 0.0:
+            continue
+        ahead = min(memory[at + 1], _LONGEST_PREDICTION_S)
+        dx = memory[at + 2] + ahead * memory[at + 5] - ego[EGO_P]
+        dy = memory[at + 3] + ahead * memory[at + 6] - ego[EGO_P + 1]
+        row = FLOCK_VIEW + count * FLOCK_VIEW_SIZE
+        memory[row] = cos_yaw * dx + sin_yaw * dy
+        memory[row + 1] = cos_yaw * dy - sin_yaw * dx
+        memory[row + 2] = memory[at + 4] + ahead * memory[at + 7] - ego[EGO_P + 2]
+        memory[row + 3] = cos_yaw * memory[at + 5] + sin_yaw * memory[at + 6]
+        memory[row + 4] = cos_yaw * memory[at + 6] - sin_yaw * memory[at + 5]
+        memory[row + 5] = max(1.0 - memory[at + 1] / longest, 0.0)
+        count += 1
+    return count
 
 
 @inlined

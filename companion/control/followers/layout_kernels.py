@@ -45,16 +45,23 @@ STARTED = 0
 PREVIOUS = 1
 LAW_MEMORY = 8
 
-# `flock` remembers neighbours (number plus one, age, position, velocity), obstacles (time left, position),
-# and has room for one distance in each direction.
-FLOCK_SLOTS = LAW_MEMORY
+# `flock` remembers its last wish, neighbours (number plus one, age, position, velocity) and obstacles (time
+# left, position), and has room for one distance in each direction, half-planes (normal, bound), and a view of
+# the neighbours (relative position, own velocity in the plane, trust).
+FLOCK_WISH = LAW_MEMORY
+FLOCK_SLOTS = LAW_MEMORY + 2
 FLOCK_SLOT_COUNT = 12
 FLOCK_SLOT_SIZE = 8
 FLOCK_POINTS = FLOCK_SLOTS + FLOCK_SLOT_COUNT * FLOCK_SLOT_SIZE
 FLOCK_POINT_COUNT = 48
 FLOCK_POINT_SIZE = 4
 FLOCK_COLUMNS = FLOCK_POINTS + FLOCK_POINT_COUNT * FLOCK_POINT_SIZE
-FLOCK_MEMORY_SIZE = FLOCK_COLUMNS + AZIMUTHS
+FLOCK_LIMITS = FLOCK_COLUMNS + AZIMUTHS
+FLOCK_LIMIT_COUNT = AZIMUTHS + FLOCK_POINT_COUNT + FLOCK_SLOT_COUNT
+FLOCK_LIMIT_SIZE = 3
+FLOCK_VIEW = FLOCK_LIMITS + FLOCK_LIMIT_COUNT * FLOCK_LIMIT_SIZE
+FLOCK_VIEW_SIZE = 6
+FLOCK_MEMORY_SIZE = FLOCK_VIEW + FLOCK_SLOT_COUNT * FLOCK_VIEW_SIZE
 
 # `pacnav` remembers paths on a common beat: number plus one, first and last beat, then positions in turn.
 PACNAV_BEAT = LAW_MEMORY
@@ -108,6 +115,11 @@ FLOCK_OBSTACLE_MEMORY = 32
 FLOCK_NEIGHBOUR_MEMORY = 33
 FLOCK_COAST = 34
 FLOCK_BODY_RADIUS = 35
+FLOCK_DETOUR = 36
+FLOCK_HEED = 37
+FLOCK_STOP = 38
+FLOCK_LINK = 39
+FLOCK_LINK_LENGTH = 40
 
 # Parameters of `pacnav`.
 PACNAV_BODY_RADIUS = 8

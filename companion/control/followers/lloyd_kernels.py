@@ -138,7 +138,7 @@ def _centroid(
     # The nearest point of the disc to the goal has weight one, so that far goals do not vanish.
     nearest = max(math.hypot(gx, gy) - radius, 0.0)
     for ray in range(_RAYS):
-        angle = 2.0 * math.pi * ray / _RAYS
+        angle = 2.0 * math.pi * (ray + 0.5) / _RAYS
         cos_ray, sin_ray = math.cos(angle), math.sin(angle)
         reach = _reach(cos_ray, sin_ray, neighbours, memory, parameters)
         for step in range(_STEPS):

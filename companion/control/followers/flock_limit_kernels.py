@@ -1,0 +1,169 @@
+"""What `flock` allows: half-planes of velocity, the way round what is in the way, and the projection.
+
+Towards an obstacle at distance d, v.n <= a (d - margin); towards a neighbour the same, plus a share of the
+neighbour's own velocity. Distances are those that will be left once a new command takes effect.
+"""
+
+import math
+
+from companion.compiled import inlined
+from companion.control.followers.flock_memory_kernels import recall_obstacle
+from companion.control.followers.layout_kernels import (
+    AZIMUTHS,
+    EGO_V,
+    EGO_YAW,
+    FLOCK_BODY_RADIUS,
+    FLOCK_COLUMNS,
+    FLOCK_DETOUR,
+    FLOCK_LEAD,
+    FLOCK_LIMIT_SIZE,
+    FLOCK_LIMITS,
+    FLOCK_NEIGHBOUR_MARGIN,
+    FLOCK_NEIGHBOUR_RATE,
+    FLOCK_NEIGHBOUR_SHARE,
+    FLOCK_OBSTACLE_MARGIN,
+    FLOCK_OBSTACLE_RATE,
+    FLOCK_POINT_COUNT,
+    FLOCK_SCAN_DELAY,
+    FLOCK_STOP,
+    FLOCK_VIEW,
+    FLOCK_VIEW_SIZE,
+    FLOCK_WISH,
+    MAX_SPEED,
+)
+from companion.control.followers.sensing_kernels import direction_of
+from companion.messages import FloatArray
+
+_PASSES = 6
+_FASTEST_RETREAT_MPS = 1.0
+_SAME_PLACE_M = 1e-6
+_TURNS = 11
+_TURN_RAD = math.radians(10.0)
+_SAME_SIDE = 0.1
+
+
+@inlined
+def _limit(count: int, nx: float, ny: float, bound: float, memory: FloatArray) -> int:
+    """Append the half-plane v.n <= bound; return how many there are then."""
+    at = FLOCK_LIMITS + count * FLOCK_LIMIT_SIZE
+    memory[at] = nx
+    memory[at + 1] = ny
+    memory[at + 2] = max(bound, -_FASTEST_RETREAT_MPS)
+    return count + 1
+
+
+@inlined
+def limit_by_obstacles(ego: FloatArray, memory: FloatArray, parameters: FloatArray) -> int:
+    """Write the half-planes of columns and remembered obstacles that matter; return their number."""
+    rate, fastest = parameters[FLOCK_OBSTACLE_RATE], parameters[MAX_SPEED]
+    room = parameters[FLOCK_OBSTACLE_MARGIN] + parameters[FLOCK_BODY_RADIUS]
+    stop = parameters[FLOCK_STOP]
+    ahead = stop + parameters[FLOCK_SCAN_DELAY]
+    speed = math.sqrt(ego[EGO_V] * ego[EGO_V] + ego[EGO_V + 1] * ego[EGO_V + 1])
+    count = 0
+    for column in range(AZIMUTHS):
+        distance = memory[FLOCK_COLUMNS + column]
+        if not rate * (distance - room - ahead * speed) < fastest:
+            continue
+        angle = direction_of(column, AZIMUTHS)
+        nx, ny = math.cos(angle), math.sin(angle)
+        bound = rate * (distance - room - ahead * (nx * ego[EGO_V] + ny * ego[EGO_V + 1]))
+        if bound < fastest:
+            count = _limit(count, nx, ny, bound, memory)
+    for point in range(FLOCK_POINT_COUNT):
+        x, y, distance = recall_obstacle(point, ego, memory, parameters)
+        if distance < _SAME_PLACE_M or not rate * (distance - room - stop * speed) < fastest:
+            continue
+        nx, ny = x / distance, y / distance
+        bound = rate * (distance - room - stop * (nx * ego[EGO_V] + ny * ego[EGO_V + 1]))
+        if bound < fastest:
+            count = _limit(count, nx, ny, bound, memory)
+    return count
+
+
+@inlined
+def limit_by_neighbours(
+    ego: FloatArray, known: int, count: int, memory: FloatArray, parameters: FloatArray
+) -> int:
+    """Append the half-planes of all neighbours; return how many there are then."""
+    lead = parameters[FLOCK_LEAD]
+    for index in range(known):
+        row = FLOCK_VIEW + index * FLOCK_VIEW_SIZE
+        x, y, vx, vy = memory[row], memory[row + 1], memory[row + 3], memory[row + 4]
+        x, y = x + lead * (vx - ego[EGO_V]), y + lead * (vy - ego[EGO_V + 1])
+        distance = max(math.sqrt(x * x + y * y), _SAME_PLACE_M)
+        ex, ey = x / distance, y / distance
+        bound = parameters[FLOCK_NEIGHBOUR_RATE] * (distance - parameters[FLOCK_NEIGHBOUR_MARGIN])
+        bound += parameters[FLOCK_NEIGHBOUR_SHARE] * (vx * ex + vy * ey)
+        count = _limit(count, ex, ey, bound, memory)
+    return count
+
+
+@inlined
+def _allowed(dx: float, dy: float, speed: float, count: int, memory: FloatArray) -> float:
+    """Return the speed up to `speed` that the first `count` half-planes allow along a unit vector."""
+    allowed = speed
+    for index in range(count):
+        at = FLOCK_LIMITS + index * FLOCK_LIMIT_SIZE
+        along = memory[at] * dx + memory[at + 1] * dy
+        if along * allowed > memory[at + 2]:
+            allowed = max(memory[at + 2], 0.0) / along if along > 0.0 else 0.0
+    return allowed
+
+
+@inlined
+def take_detour(
+    ego: FloatArray, count: int, memory: FloatArray, parameters: FloatArray, wish: FloatArray
+) -> None:
+    """Turn the wish to where it can be flown fastest, where obstacles are in its way.
+
+    Of directions up to 110 deg to either side the best is where speed allowed times (cosine of the turn, plus
+    the worth of a detour) is greatest; the side to which the vehicle is flying already counts a little more.
+    """
+    speed = math.sqrt(wish[0] * wish[0] + wish[1] * wish[1])
+    worth = parameters[FLOCK_DETOUR]
+    if count == 0 or worth <= 0.0 or speed < _SAME_PLACE_M:
+        return
+    ux, uy = wish[0] / speed, wish[1] / speed
+    straight = _allowed(ux, uy, speed, count, memory)
+    if straight >= speed:
+        return
+    cos_yaw, sin_yaw = math.cos(ego[EGO_YAW]), math.sin(ego[EGO_YAW])
+    px = cos_yaw * memory[FLOCK_WISH] + sin_yaw * memory[FLOCK_WISH + 1]
+    py = cos_yaw * memory[FLOCK_WISH + 1] - sin_yaw * memory[FLOCK_WISH]
+    favoured = 1.0 if ux * py - uy * px >= 0.0 else -1.0
+    best = straight * (1.0 + worth)
+    for turn in range(1, _TURNS + 1):
+        for side in (1.0, -1.0):
+            cosine, sine = math.cos(turn * _TURN_RAD), side * math.sin(turn * _TURN_RAD)
+            dx, dy = cosine * ux - sine * uy, sine * ux + cosine * uy
+            value = cosine + worth
+            if side == favoured:
+                value += _SAME_SIDE
+            if value * speed <= best:
+                continue
+            allowed = _allowed(dx, dy, speed, count, memory)
+            if value * allowed > best:
+                best = value * allowed
+                wish[0] = allowed * dx
+                wish[1] = allowed * dy
+
+
+@inlined
+def project(count: int, memory: FloatArray, wish: FloatArray) -> None:
+    """Project the wish onto the first `count` half-planes in turn.
+
+    Source: cyclic projections, L. M. Bregman, "The method of successive projection for finding a common point
+    of convex sets", 1965: they end in a common point if there is one.
+    """
+    for _ in range(_PASSES):
+        changed = False
+        for index in range(count):
+            at = FLOCK_LIMITS + index * FLOCK_LIMIT_SIZE
+            excess = wish[0] * memory[at] + wish[1] * memory[at + 1] - memory[at + 2]
+            if excess > 1e-9:
+                wish[0] -= excess * memory[at]
+                wish[1] -= excess * memory[at + 1]
+                changed = True
+        if not changed:
+            return
