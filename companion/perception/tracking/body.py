@@ -11,9 +11,9 @@ _TAPE_WEIGHT = 5.0
 _TAPE_TELLS = np.array([1.0, 0.0, 1.0])
 # How far points scatter about their mean along the beam, across it (in radii) and upwards (in heights);
 # beams fall more evenly than by chance, so across a body the mean is better than the scatter says.
-_TAPE_SCATTER = 0.25, 0.3
-_DIM_SCATTER = 0.71, 0.67
-_WIDTH_SCATTER = 0.68
+_TAPE_SCATTER = 0.23, 0.3
+_DIM_SCATTER = 0.63, 0.67
+_WIDTH_SCATTER = 0.63
 # How much nearer than the outline's mean that mean is.
 _TAPE_DEPTH, _DIM_DEPTH = 1.3, 0.63
 _BEYOND_M = 0.16, 0.11  # arms, rotors and legs reach beyond the cylinder...

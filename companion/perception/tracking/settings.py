@@ -8,6 +8,7 @@ from enum import Enum
 
 from pydantic import Field
 
+from companion.perception.tracking.motion_filter import Agility
 from companion.settings import Settings
 
 
@@ -127,12 +128,18 @@ class TrackingSettings(Settings):
     """...and of its acceleration upwards..."""
     acceleration_fading_s: float = Field(default=1.5, ge=0.0, le=20.0)
     """...and for how long it lasts; 0 for plain constant velocity with white acceleration."""
+    steady_factor: float = Field(default=0.06, ge=0.0, le=1.0)
+    """Multiplies both for a UAV that hovers or goes straight on..."""
+    swerving_factor: float = Field(default=2.4, ge=1.0, le=20.0)
+    """...and for one that swerves."""
     lost_fading_s: float = Field(default=1.5, gt=0.0, le=100.0)
     """How long a lost neighbour is believed to go on as it went..."""
     lost_speed_sigma: float = Field(default=1.0, ge=0.0, le=20.0)
     """...before its speed may be anything of this standard deviation on each axis, m/s."""
     acceleration_density: float = Field(default=0.01, gt=0.0, le=100.0)
-    """Density of its white acceleration (gusts), m^2/s^3."""
+    """Density of its white acceleration (gusts), m^2/s^3..."""
+    known_acceleration_density: float = Field(default=0.0005, gt=0.0, le=100.0)
+    """...once it is proven to be a UAV, and in which manner it flies is told from its motion."""
     initial_speed_sigma: float = Field(default=1.5, gt=0.0, le=20.0)
     """Standard deviation of a new neighbour's speed on each axis, m/s."""
 
@@ -172,6 +179,18 @@ class TrackingSettings(Settings):
     """Lower edge of the sensor's field of view, as far as its beams are dense..."""
     fov_high_deg: float = Field(default=50.0, ge=0.0, le=90.0)
     """...and its upper edge: what reaches beyond them is seen in part."""
+
+    def agility(self) -> Agility:
+        """Return how a neighbour may accelerate."""
+        return Agility(
+            level_sigma=self.acceleration_sigma,
+            up_sigma=self.acceleration_up_sigma,
+            fading_s=self.acceleration_fading_s,
+            white_density=self.acceleration_density,
+            steady_factor=self.steady_factor,
+            swerving_factor=self.swerving_factor,
+            known_density=self.known_acceleration_density,
+        )
 
     @classmethod
     def literal(cls) -> "TrackingSettings":

@@ -14,6 +14,7 @@ from companion.perception.tracking.settings import TrackingSettings
 from companion.perception.tracking.validation import Proof
 
 _LEAST_HIDDEN = 0.3
+_HIDDEN_SCATTER = 0.6
 _RESOLVED_POINTS = 20
 _RESOLVED_RADII = 1.5
 _SETTLED_SPEED_SIGMA = 0.6
@@ -44,7 +45,7 @@ def measurement(
     if hidden:
         # The middle of the rest is not the body's.
         share = max(_LEAST_HIDDEN, 1.0 - cluster.fresh / whole_body_points(range_m, settings))
-        variances += (share * settings.body_radius_m) ** 2
+        variances += (_HIDDEN_SCATTER * share * settings.body_radius_m) ** 2
     variances += jitter[0] ** 2 + (jitter[1] * range_m) ** 2 * np.array([0.0, 1.0, 1.0])
     R = axes.T @ (variances[:, None] * axes)
     return cluster.measured_map + (shift if settings.body_centre else 0.0), R
@@ -87,11 +88,10 @@ class Track:
             z_map,
             R,
             min(settings.initial_speed_sigma, cluster.speed_sigma),
-            (settings.acceleration_sigma, settings.acceleration_up_sigma),
-            settings.acceleration_fading_s,
+            settings.agility(),
             cluster.velocity_map,
         )
-        self.motion.predict(round(cluster.age_s, 2), settings.acceleration_density)
+        self.motion.predict(round(cluster.age_s, 2))
         self.proof = Proof(settings, self.motion)
         self._newest = cluster
 
@@ -120,8 +120,8 @@ class Track:
 
     @property
     def sigma_m(self) -> float:
-        """Return the largest standard deviation of an axis of its position."""
-        P = self.motion.covariance
+        """Return the largest standard deviation of an axis of its position, on the safe side."""
+        P = self.motion.cautious_covariance
         return math.sqrt(max(P[0, 0], P[1, 1], P[2, 2]))
 
     def unseen_s(self, t_ns: int) -> float:
@@ -136,7 +136,7 @@ class Track:
             v_flock_map: (3,) mean velocity of the flock, where this one was lost.
         """
         settings = self._settings
-        self.motion.predict(dt_s, settings.acceleration_density)
+        self.motion.predict(dt_s)
         if v_flock_map is not None:
             self.motion.fade(dt_s, settings.lost_fading_s, settings.lost_speed_sigma, v_flock_map)
 
@@ -181,13 +181,15 @@ class Track:
     def judge(self) -> None:
         """Decide anew whether it is a UAV, after an observation."""
         self.proof.judge(self._newest.points, self._newest.bright, self.motion)
+        if self.proof.validated:
+            self.motion.distinguish()
 
     def is_trusted(self, t_ns: int) -> bool:
         """Return whether it is a UAV, and near enough to where it is said to be."""
         settings = self._settings
         if not self.proof.validated or self.t_seen_ns == t_ns:
             return self.proof.validated
-        spread = float(np.linalg.eigvalsh(self.motion.covariance[:3, :3])[-1])
+        spread = float(np.linalg.eigvalsh(self.motion.cautious_covariance[:3, :3])[-1])
         return self.unseen_s(t_ns) <= settings.inactive_s + 0.01 and spread <= settings.max_coast_sigma_m**2
 
     def message(self, t_ns: int) -> NeighbourTrack:

@@ -232,7 +232,7 @@ class NeighbourTracker:
         if settings.association is Association.GREEDY:
             return greedy_pairs(away, settings.match_distance_m)
         states = np.column_stack([p, [track.motion.v_map for track in tracks]])
-        covariances = np.array([track.motion.covariance for track in tracks])
+        covariances = np.array([track.motion.cautious_covariance for track in tracks])
         noises = np.array([R for _, R in measured])
         costs = gated_costs(states, covariances, z, noises, np.array(ages_s), gate)
         costs[away > settings.max_match_m] = np.inf

@@ -1,17 +1,20 @@
 import numpy as np
 import pytest
+from filterpy.kalman import IMMEstimator, KalmanFilter
 from scipy.linalg import expm
 
+from companion.messages import FloatArray
+from companion.perception.tracking import motion_filter
 from companion.perception.tracking.association import gated_costs, global_pairs, greedy_pairs
 from companion.perception.tracking.body import seen_of, sight_axes, visible_surface
-from companion.perception.tracking.motion_filter import MotionFilter
+from companion.perception.tracking.motion_filter import Agility, MotionFilter
 from companion.perception.tracking.settings import TrackingSettings
 
 
 def test_prediction_equals_the_integral_of_the_model() -> None:
     sigma, fading, dt, white = 1.3, 0.7, 0.25, 0.4
-    motion = MotionFilter(np.zeros(3), 0.01 * np.eye(3), 1.0, (sigma, 0.5 * sigma), fading)
-    motion.predict(dt, white)
+    motion = MotionFilter(np.zeros(3), 0.01 * np.eye(3), 1.0, Agility(sigma, 0.5 * sigma, fading, white))
+    motion.predict(dt)
     # Van Loan's method on one axis.
     A = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, -1.0 / fading]])
     W = np.diag([0.0, white, 2.0 * sigma**2 / fading])
@@ -23,9 +26,9 @@ def test_prediction_equals_the_integral_of_the_model() -> None:
 
 
 def test_a_measurement_of_the_past_moves_the_present() -> None:
-    motion = MotionFilter(np.zeros(3), 1e-6 * np.eye(3), 2.0, (0.0, 0.0), 0.0)
+    motion = MotionFilter(np.zeros(3), 1e-6 * np.eye(3), 2.0, Agility(0.0, 0.0, 0.0, 1e-3))
     for step in range(1, 30):
-        motion.predict(0.1, 1e-3)
+        motion.predict(0.1)
         then = 0.1 * step - 0.06
         motion.update(np.array([2.0 * then, 0.0, 0.0]), 1e-4 * np.eye(3), 0.06)
     assert motion.p_map == pytest.approx([2.0 * 2.9, 0.0, 0.0], abs=5e-3)
@@ -96,3 +99,88 @@ def test_the_tape_tells_distance_and_height_but_not_the_side() -> None:
     # The nearer the points lie to the sensor, the farther behind them is the middle.
     assert without[0] > 0.0
     assert np.cross(*sight_axes(away)[:2]) == pytest.approx([0.0, 0.0, 1.0])
+
+
+AGILITY = Agility(0.8, 0.3, 1.5, 0.01)
+
+
+def flown(accelerations: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """Follow who accelerates so (n, 3) ten times a second.
+
+    Returns:
+        The weight of each manner (n, 3), and the mean squared error (n,) of an axis of the velocity, by its
+        covariance.
+    """
+    motion = MotionFilter(np.zeros(3), 4e-4 * np.eye(3), 1.0, AGILITY)
+    motion.distinguish()
+    p, v, rows = np.zeros(3), np.zeros(3), []
+    for acceleration in accelerations:
+        p, v = p + 0.1 * v + 0.005 * acceleration, v + 0.1 * acceleration
+        motion.predict(0.1)
+        motion.update(p + 0.02 * rng.standard_normal(3), 4e-4 * np.eye(3), 0.0)
+        error = motion.v_map - v
+        rows.append([*motion.weights, error @ np.linalg.solve(motion.covariance[3:, 3:], error) / 3.0])
+    return np.array(rows)
+
+
+def test_the_manner_of_flying_is_told_from_the_motion() -> None:
+    ahead = np.array([1.0, 0.0, 0.0])
+    still = flown(np.zeros((200, 3)), np.random.default_rng(1))
+    assert still[50:, 0].mean() > 0.85
+    swing = flown(2.0 * np.sin(0.15 * np.arange(200))[:, None] * ahead, np.random.default_rng(1))
+    assert swing[50:, 0].mean() < 0.1
+    # A sudden swerve out of a hover is believed within half a second.
+    swerve = flown(np.where(np.arange(60) < 40, 0.0, 3.0)[:, None] * ahead, np.random.default_rng(1))
+    assert swerve[35, 0] > 0.8
+    assert swerve[45:50, 0].max() < 0.2
+    assert swerve[46:, 3].max() < 4.0
+
+
+def test_the_covariance_is_true_for_motion_of_any_manner() -> None:
+    squares, left = [], np.exp(-0.1 / AGILITY.fading_s)
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        manner, now, accelerations = 0, np.zeros(3), []
+        for _ in range(300):
+            if rng.random() > np.exp(-0.1 / AGILITY.manners_last_s[manner]):
+                manner = int(rng.choice(3, p=motion_filter._SUCCESSORS[manner]))
+            level, upwards, _ = AGILITY.manners()[manner]
+            push = np.sqrt(1.0 - left**2) * np.array([level, level, upwards])
+            now = left * now + push * rng.standard_normal(3)
+            accelerations.append(now)
+        squares.append(flown(np.array(accelerations), rng)[20:, 3])
+    assert 0.85 < np.mean(squares) < 1.15
+
+
+def test_manners_are_mixed_as_the_interacting_filters_of_the_library_mix_them() -> None:
+    rng = np.random.default_rng(3)
+    motion = MotionFilter(np.zeros(3), 4e-4 * np.eye(3), 1.0, AGILITY)
+    filters = []
+    for level, upwards, density in AGILITY.manners():
+        single = KalmanFilter(dim_x=9, dim_z=3)
+        single.x = np.zeros(9)
+        single.P = np.diag([4e-4] * 3 + [1.0] * 3 + [0.64, 0.64, 0.3**2])
+        single.F, single.Q = motion_filter._transition(0.1, (level, upwards), 1.5, density)
+        single.H, single.R = np.eye(3, 9), 4e-4 * np.eye(3)
+        filters.append(single)
+    oracle = IMMEstimator(filters, np.full(3, 1.0 / 3.0), motion_filter._switching(0.1, (10.0, 5.0, 3.0)))
+    motion.distinguish()
+    for step in range(40):
+        z = np.array([0.005 * step**2, 0.02 * step, 0.0]) + 0.02 * rng.standard_normal(3)
+        motion.predict(0.1)
+        oracle.predict()
+        motion.update(z, 4e-4 * np.eye(3), 0.0)
+        oracle.update(z)
+        assert motion.weights == pytest.approx(oracle.mu, abs=2e-5)
+        assert motion.p_map == pytest.approx(oracle.x[:3], abs=1e-5)
+        assert motion.covariance == pytest.approx(oracle.P[:6, :6], abs=1e-5)
+
+
+def test_of_a_lost_one_the_manner_is_forgotten() -> None:
+    motion = MotionFilter(np.zeros(3), 4e-4 * np.eye(3), 1.0, AGILITY, np.ones(3))
+    motion.distinguish()
+    before = motion.p_map.copy()
+    motion.fade(0.1, 1.5, 1.0, np.zeros(3))
+    assert motion.weights.tolist() == [1.0]
+    assert motion.p_map == pytest.approx(before)
+    assert motion.v_map == pytest.approx(np.full(3, np.exp(-0.1 / 1.5)))

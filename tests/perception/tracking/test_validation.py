@@ -1,7 +1,7 @@
 import numpy as np
 
 from companion.perception.tracking import region_kernels
-from companion.perception.tracking.motion_filter import MotionFilter
+from companion.perception.tracking.motion_filter import Agility, MotionFilter
 from companion.perception.tracking.settings import Tape, TrackingSettings
 from companion.perception.tracking.tracker import NeighbourTracker
 from companion.perception.tracking.validation import Proof, Surroundings
@@ -12,7 +12,7 @@ SETTINGS = TrackingSettings()
 
 
 def standing() -> MotionFilter:
-    return MotionFilter(np.array([4.0, 0.0, 1.5]), 1e-4 * np.eye(3), 0.1, (0.5, 0.5), 1.0)
+    return MotionFilter(np.array([4.0, 0.0, 1.5]), 1e-4 * np.eye(3), 0.1, Agility(0.5, 0.5, 1.0, 0.01))
 
 
 def counts(body: float = 8.0, below: float = 0.0, beside: float = 0.0) -> np.ndarray:
