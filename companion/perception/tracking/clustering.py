@@ -10,8 +10,8 @@ from companion.messages import ByteArray, FloatArray
 from companion.perception.tracking import clustering_kernels as kernels
 from companion.perception.tracking.settings import TrackingSettings
 
-MOST_CLUSTERS = 256
-"""Beyond this number only the nearest clusters are looked at."""
+MOST_CLUSTERS = 48
+"""Beyond this number only those at tracks, and then the nearest clusters, are looked at."""
 
 _REACH_BEYOND_BODY_M = 0.1  # rotors and legs
 
@@ -217,7 +217,12 @@ def describe(
     table = table[names]
     middles = table[:, kernels.SUM] / table[:, kernels.COUNT, None]
     ranges = np.linalg.norm(middles - sensor_map, axis=1)
-    order = np.argsort(ranges, kind="stable")[:MOST_CLUSTERS]
+    order = np.argsort(ranges, kind="stable")
+    if len(order) > MOST_CLUSTERS:
+        at_track = (points.owners >= 0) & (points.owners < points.tracks) & (labels >= 0)
+        followed = np.isin(names, labels[at_track])
+        first = np.lexsort((ranges, ~followed))[:MOST_CLUSTERS]
+        order = first[np.argsort(ranges[first], kind="stable")]
     clusters = []
     for k in order:
         row = table[k]

@@ -88,3 +88,22 @@ def thinned(chosen: NDArray[np.int64], most: int) -> NDArray[np.int64]:
     if len(chosen) <= most:
         return chosen
     return chosen[np.linspace(0, len(chosen) - 1, most).astype(np.int64)]
+
+
+def rationed(owners: NDArray[np.int32], ration: int, unowned: int) -> NDArray[np.bool_]:
+    """Return which points (n,) to keep: of every owner at most a ration, evenly taken.
+
+    Args:
+        owners: (n,) negative for none.
+        ration: most points of one owner.
+        unowned: most points without any.
+    """
+    counts = np.bincount(owners + 1, minlength=1)
+    limits = np.full(len(counts), ration)
+    limits[0] = unowned
+    keep = np.ones(len(owners), np.bool_)
+    for name in np.flatnonzero(counts > limits):
+        mine = np.flatnonzero(owners == name - 1)
+        keep[mine] = False
+        keep[thinned(mine, int(limits[name]))] = True
+    return keep

@@ -9,7 +9,7 @@ from companion.messages import FloatArray, PointArray
 from companion.perception.tracking import clustering_kernels, region_kernels
 from companion.perception.tracking.body import outline_m
 from companion.perception.tracking.clustering import FilteredPoints, epsilons
-from companion.perception.tracking.filtering import StackedPoints, thinned
+from companion.perception.tracking.filtering import StackedPoints, rationed, thinned
 from companion.perception.tracking.settings import Tape, TrackingSettings
 from companion.perception.tracking.track import Track
 from companion.perception.tracking.untaped import compact_bodies
@@ -17,6 +17,9 @@ from companion.perception.tracking.untaped import compact_bodies
 _FASTEST = 20.0
 _EDGE_M = 0.15
 _GAP_M = 0.4
+# Where everything is bright, or much lies at one place, this bounds the time that it takes.
+_REGION_POINTS = 600
+_BRIGHT_POINTS = 400
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,7 +81,10 @@ class RegionSearch:
         wanted = owners >= 0
         if self._settings.tape is Tape.REFLECTIVE:
             wanted |= stack.bright != 0
-        chosen = thinned(np.flatnonzero(wanted), self._settings.most_points)
+        chosen = np.flatnonzero(wanted)
+        if self._settings.tape is Tape.REFLECTIVE:
+            chosen = chosen[rationed(owners[chosen], _REGION_POINTS, _BRIGHT_POINTS)]
+        chosen = thinned(chosen, self._settings.most_points)
         measured = stack.points_map[chosen].astype(np.float64)
         ages, owners = stack.ages_s[chosen], owners[chosen]
         moved = measured.copy()
@@ -157,7 +163,8 @@ class RegionSearch:
         """Return the middles (k, 3) of bright clusters that no track explains, the nearest ones."""
         bright = thinned(np.flatnonzero(stack.bright), self._settings.most_points)
         points, ages = stack.points_map[bright], stack.ages_s[bright]
-        new = points[self._owners(points, ages, sensor_map, regions) < 0].astype(np.float64)
+        unexplained = np.flatnonzero(self._owners(points, ages, sensor_map, regions) < 0)
+        new = points[thinned(unexplained, _BRIGHT_POINTS)].astype(np.float64)
         ranges = np.linalg.norm(new - sensor_map, axis=1)
         labels = np.empty(len(new), np.int32)
         count = clustering_kernels.density_clusters(new, epsilons(ranges, self._settings), 1, labels)

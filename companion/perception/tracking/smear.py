@@ -4,7 +4,6 @@ What passes nearby at several metres a second leaves a streak that is longer tha
 which its points were measured tell the streak from a long thing.
 """
 
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -34,20 +33,25 @@ def straighten(
     """
     of_settled = (points.owners >= 0) & (points.owners < points.tracks)
     of_settled[of_settled] = settled[points.owners[of_settled]]
-    counts = np.bincount(labels[labels >= 0], minlength=1)
-    done = np.unique(labels[of_settled & (labels >= 0)])
-    moved = points.moved_map
-    velocities: Velocities = {}
-    for label in np.setdiff1d(np.flatnonzero(counts >= _LEAST_POINTS), done):
-        inside = np.flatnonzero(labels == label)
-        ages = points.ages_s[inside]
-        late = ages - ages.mean()
-        square = float(late @ late)
-        sigma = _SCATTER_M / math.sqrt(max(square, 1e-9))
-        velocity = -(late @ points.measured_map[inside]) / max(square, 1e-9)
-        if _LEAST_SIGMAS * sigma < float(np.linalg.norm(velocity)) < _FASTEST:
-            if not velocities:
-                moved = moved.copy()
-            moved[inside] = points.measured_map[inside] + ages[:, None] * velocity
-            velocities[int(label)] = velocity, sigma
-    return replace(points, moved_map=moved), velocities
+    wanted = labels >= 0
+    counts = np.bincount(labels[wanted], minlength=1)
+    unknown = counts >= _LEAST_POINTS
+    unknown[labels[of_settled & wanted]] = False
+    inside = np.flatnonzero(wanted & unknown[labels])
+    names, ages, measured = labels[inside], points.ages_s[inside], points.measured_map[inside]
+    late = ages - (np.bincount(names, ages, len(counts)) / np.maximum(counts, 1))[names]
+    square = np.maximum(np.bincount(names, late**2, len(counts)), 1e-9)
+    sums = [np.bincount(names, late * measured[:, axis], len(counts)) for axis in range(3)]
+    velocities = -np.column_stack(sums) / square[:, None]
+    sigmas = _SCATTER_M / np.sqrt(square)
+    speeds = np.linalg.norm(velocities, axis=1)
+    streaks = unknown & (speeds > _LEAST_SIGMAS * sigmas) & (speeds < _FASTEST)
+    if not streaks.any():
+        return points, {}
+    moving = streaks[names]
+    moved = points.moved_map.copy()
+    moved[inside[moving]] = measured[moving] + ages[moving, None] * velocities[names[moving]]
+    known: Velocities = {
+        int(name): (velocities[name], float(sigmas[name])) for name in np.flatnonzero(streaks)
+    }
+    return replace(points, moved_map=moved), known

@@ -128,8 +128,11 @@ class NeighbourTracker:
         begun = [
             (j, before)
             for j in free
+            if self._may_begin(clusters[j], measured[j][0], seen.reshape(-1, 3))
             for before in [self._missing(lost, measured[j])]
-            if self._may_begin(clusters[j], measured[j][0], seen.reshape(-1, 3), expected=before is not None)
+            # Of one who is missing fewer points will do.
+            if is_enough(clusters[j], self._settings)
+            or (before is not None and clusters[j].points >= _LEAST_POINTS)
         ]
         self._judge([track for track in self._tracks if track.t_seen_ns == t_ns], stack, odometry, sensor)
         self._recognise()
@@ -173,13 +176,10 @@ class NeighbourTracker:
         enough = self._settings.sparse_updates or is_enough(cluster, self._settings)
         return cluster.fresh > 0 and enough and is_small(cluster, self._settings)
 
-    def _may_begin(
-        self, cluster: Cluster, z_map: FloatArray, seen_map: FloatArray, *, expected: bool
-    ) -> bool:
+    def _may_begin(self, cluster: Cluster, z_map: FloatArray, seen_map: FloatArray) -> bool:
         """Return whether a cluster that belongs to no track seen now, at `seen_map`, may be another UAV."""
         settings = self._settings
-        # Of one who is missing fewer points will do.
-        if not is_enough(cluster, settings) and not (expected and cluster.points >= _LEAST_POINTS):
+        if cluster.points < _LEAST_POINTS and not is_enough(cluster, settings):
             return False
         if settings.tape is Tape.REFLECTIVE and cluster.bright_share <= settings.bright_share:
             return False

@@ -6,6 +6,7 @@ from hypothesis import strategies as st
 from companion.messages import FloatArray
 from companion.perception.tracking import clustering_kernels as kernels
 from companion.perception.tracking.clustering import (
+    MOST_CLUSTERS,
     FilteredPoints,
     describe,
     epsilons,
@@ -14,6 +15,7 @@ from companion.perception.tracking.clustering import (
     least_points,
     trim,
 )
+from companion.perception.tracking.filtering import rationed
 from companion.perception.tracking.settings import TrackingSettings
 
 SETTINGS = TrackingSettings()
@@ -135,3 +137,29 @@ def test_a_cluster_tells_its_points_and_where_the_newest_were_measured() -> None
     assert cluster.size_m == pytest.approx([0.2, 0.1, 0.0])
     assert cluster.fresh_bright == 1
     assert cluster.tape_map == pytest.approx([-0.1, 0.0, 0.0])
+
+
+def test_no_owner_gets_more_points_than_its_ration() -> None:
+    owners = np.repeat(np.array([-1, 0, 1], np.int32), [50, 40, 5])
+    keep = rationed(np.random.default_rng(4).permutation(owners), 10, 20)
+    shuffled = np.random.default_rng(4).permutation(owners)
+    assert [int(np.sum(keep & (shuffled == name))) for name in (-1, 0, 1)] == [20, 10, 5]
+    # Evenly taken: from all over, not only the first.
+    assert np.flatnonzero(keep & (shuffled == 0))[-1] == np.flatnonzero(shuffled == 0)[-1]
+    assert rationed(np.zeros(0, np.int32), 10, 20).shape == (0,)
+
+
+def test_clusters_at_tracks_are_looked_at_even_behind_many_nearer_ones() -> None:
+    many = MOST_CLUSTERS + 20
+    places = np.column_stack([np.linspace(1.0, 9.0, many), np.zeros(many), np.zeros(many)])
+    owners = np.full(many, -1, np.int32)
+    owners[-1] = 0
+    points = FilteredPoints(
+        places, places, np.zeros(many), np.ones(many, np.uint8), np.ones(many, np.uint8), owners, 1
+    )
+    clusters = describe(np.arange(many, dtype=np.int32), points, np.zeros(3))
+    ranges = [cluster.range_m for cluster in clusters]
+    assert len(ranges) == MOST_CLUSTERS
+    assert ranges == sorted(ranges)
+    assert ranges[-1] == 9.0
+    assert ranges[-2] == places[MOST_CLUSTERS - 2, 0]
