@@ -1,5 +1,6 @@
 """The part of `sitl run` that flies swarms."""
 
+import math
 import signal
 import sys
 from collections.abc import Callable
@@ -10,6 +11,7 @@ import typer
 
 from companion.command_line import Result
 from companion.exit_codes import ExitCode
+from companion.logs.metrics import DEFAULT_CAP_M
 from sitl.swarm.record import Fidelity
 
 if TYPE_CHECKING:
@@ -67,15 +69,16 @@ def _print(outcome: "SwarmOutcome") -> None:
     record = outcome.record
     by = f" ({', '.join(map(str, record.ended_by))})" if record.ended_by else ""
     verdict = "success" if record.end == "success" else f"FAILED: {record.end.replace('_', ' ')}{by}"
+    far = f"none within {DEFAULT_CAP_M:g} m"
     rows = [
         ("swarm", verdict),
         ("followers", f"{record.followers}, {record.method}, {record.fidelity} fidelity"),
         ("time", f"{record.t_end_s:.1f} s since the start"),
         ("mission progress", f"{record.mission_progress_percent:.0f} %"),
-        ("flock radius", f"{record.flock_radius_m:.2f} m"),
-        ("min. separation", f"{record.minimum_separation_m:.2f} m"),
-        ("alignment", f"{record.alignment:.2f}"),
-        ("obstacles", f"{record.obstacle_distance_m:.2f} m"),
+        ("flock radius", _known(record.flock_radius_m, " m")),
+        ("min. separation", _known(record.minimum_separation_m, " m")),
+        ("alignment", _known(record.alignment)),
+        ("obstacles", _known(record.obstacle_distance_m, " m", far if record.steps > 1 else "-")),
     ]
     if outcome.full is not None:
         factor = outcome.full.sim_time_s / outcome.full.wall_time_s
@@ -87,3 +90,7 @@ def _print(outcome: "SwarmOutcome") -> None:
         rows.append(("log", str(outcome.logs[0])))
     for name, value in rows:
         typer.echo(f"{name:<17} {value}")
+
+
+def _known(value: float, unit: str = "", otherwise: str = "-") -> str:
+    return otherwise if math.isnan(value) else f"{value:.2f}{unit}"

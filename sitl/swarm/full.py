@@ -87,7 +87,8 @@ def fly_full(
     Args:
         scene: the world, the start and the leader's way.
         crew: profiles of leader and followers.
-        setting: weather, network, vehicle type and operator; its world, start and swarm are not looked at.
+        setting: weather, network, vehicle type and operator; its world, start, swarm and vehicle radius are
+            not looked at.
         out_dir: gets a folder with a log for every vehicle; there must be no logs in it.
         names: what the trial is called.
         termination: what ends it.
@@ -102,8 +103,11 @@ def fly_full(
     """
     clock = SystemClock()
     wall_start_ns = clock.now_ns()
+    rules = termination or TerminationSettings()
+    # One radius for contacts with obstacles and among each other, as in abstract fidelity.
+    setting = setting.model_copy(update={"vehicle_radius_m": rules.vehicle_radius_m})
     plan = FlightPlan(setting, crew, scene, out_dir, packets)
-    referee = SwarmReferee(scene, termination or TerminationSettings(), cap_m, BOOT_NS)
+    referee = SwarmReferee(scene, rules, cap_m, BOOT_NS)
     swarm = Swarm(plan, shares(plan.vehicles, workers or len(os.sched_getaffinity(0))))
     try:
         table = _fly(swarm, referee, on_progress)

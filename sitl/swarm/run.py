@@ -113,7 +113,7 @@ def fly_scenario(
     names = TrialNames(world, crew.follower.follower.method if crew.follower.follower else "hold")
     load_kernels()
     if fidelity == "abstract":
-        return _abstractly(crew, scene, swarm, names, out)
+        return _abstractly(crew, scene, scenario, swarm, names, out)
     keep_older([out / member_name(number) / FULL_LOG for number in range(swarm.followers + 1)])
     flight = fly_full(
         scene,
@@ -138,12 +138,17 @@ def keep_older(logs: list[Path]) -> None:
 
 
 def _abstractly(
-    crew: Crew, scene: SwarmScene, swarm: SwarmSettings, names: TrialNames, out: Path
+    crew: Crew, scene: SwarmScene, scenario: Scenario, swarm: SwarmSettings, names: TrialNames, out: Path
 ) -> SwarmOutcome:
     follower = crew.follower.follower
     if follower is None:
         raise ProfileError("an abstract flight needs a section follower in the followers' profile")
-    settings = AbstractSettings(neighbours=crew.follower.neighbours, grid=crew.follower.grid)
+    settings = AbstractSettings(
+        neighbours=crew.follower.neighbours,
+        grid=crew.follower.grid,
+        quadrotor=scenario.quadrotor,
+        wind=scenario.wind,
+    )
     flight = fly_abstract(
         scene,
         follower.method,

@@ -5,9 +5,13 @@ from typing import Annotated, Literal
 from pydantic import Field, Strict, model_validator
 
 from companion.settings import Settings
+from companion.yaml_problems import misfit
 
 Behaviour = Literal["straight", "hover", "reverse", "turn", "mixed"]
 Range = Annotated[tuple[float, float], Strict(False)]
+
+ROOM_TO_LIMITS_M = 0.2
+"""No follower begins nearer than this to the lowest or highest altitude."""
 
 
 class LeaderBehaviourSettings(Settings):
@@ -48,6 +52,15 @@ class TerminationSettings(Settings):
     spare_time_s: float = Field(default=20.0, ge=0.0, le=600.0)
     """A trial may last twice the way at the leader's speed, and this much more."""
 
+    @model_validator(mode="after")
+    def _there_is_room_to_fly(self) -> "TerminationSettings":
+        low, high = self.altitude_m
+        if low + 2.0 * ROOM_TO_LIMITS_M > high:
+            raise misfit(
+                ("altitude_m",), f"{low:g} to {high:g}", f"at least {2.0 * ROOM_TO_LIMITS_M:g} m between them"
+            )
+        return self
+
 
 class SwarmSettings(Settings):
     """One leader and its followers."""
@@ -70,3 +83,15 @@ class SwarmSettings(Settings):
     """The leader's way in open country instead, from the middle of the start; the last point is the goal."""
     leader: LeaderBehaviourSettings = LeaderBehaviourSettings()
     termination: TerminationSettings = TerminationSettings()
+
+    @model_validator(mode="after")
+    def _leader_flies_within_the_limits(self) -> "SwarmSettings":
+        low, high = self.cruise_height_m
+        floor, ceiling = self.termination.altitude_m
+        if not floor < low <= high < ceiling:
+            raise misfit(
+                ("cruise_height_m",),
+                f"{low:g} to {high:g}",
+                f"rising heights between {floor:g} and {ceiling:g}, termination.altitude_m",
+            )
+        return self

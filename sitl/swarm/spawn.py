@@ -6,13 +6,12 @@ import numpy as np
 from numpy.random import Generator
 
 from companion.messages import FloatArray
-from sitl.swarm.settings import SwarmSettings
+from sitl.swarm.settings import ROOM_TO_LIMITS_M, SwarmSettings
 from sitl.worlds.primitives import World
 
 _LEAST_SIDE = 3
 _ROOM_M = 0.5
 """A cell nearer to a surface than this is not used."""
-_LOWEST_ABOVE_LIMIT_M = 0.2
 
 
 def cells(vehicles: int, spacing_m: float) -> FloatArray:
@@ -48,7 +47,7 @@ def spawn(
     yaws = rng.uniform(-math.pi, math.pi, number)
     low, high = settings.termination.altitude_m
     places = np.column_stack([grid + jitter, height + rises])[order]
-    places[:, 2] = np.clip(places[:, 2], low + _LOWEST_ABOVE_LIMIT_M, high - _LOWEST_ABOVE_LIMIT_M)
+    places[:, 2] = np.clip(places[:, 2], low + ROOM_TO_LIMITS_M, high - ROOM_TO_LIMITS_M)
     obstacles = world.obstacles()
     if len(obstacles):
         places = places[obstacles.clearance(places) >= _ROOM_M]

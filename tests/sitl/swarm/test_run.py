@@ -50,7 +50,20 @@ def test_an_abstract_run_says_what_the_swarm_came_to(
     assert log.exists()
     assert main(arguments[:-1]) == ExitCode.OK
     assert log.with_name("previous-swarm.mcap").exists()
-    assert "swarm             success" in capsys.readouterr().out
+    shown = capsys.readouterr().out
+    assert "swarm             success" in shown
+    assert "obstacles         none within 4 m" in shown
+
+
+def test_an_abstract_run_feels_the_scenarios_wind_and_flies_its_quadrotor(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    found = []
+    for changes in ({}, {"wind": {"gust_mps": 3.0}}, {"quadrotor": {"command_delay_s": 0.2}}):
+        path = write(tmp_path, **changes)
+        main(["run", path, "--fidelity", "abstract", "--out", str(tmp_path / "out"), "--json"])
+        found.append(last_line(capsys.readouterr().out)["FR"])
+    assert len(set(found)) == 3
 
 
 @pytest.mark.parametrize(
@@ -64,8 +77,18 @@ def test_an_abstract_run_says_what_the_swarm_came_to(
         ),
         ({"profile": SWARM["follower_profile"]}, [], "role: 'follower', a swarm needs 'leader' here"),
         ({"world": {"site": "indoor_wall"}}, [], "no scene can be built: the site indoor_wall has a way"),
+        (
+            {"swarm": SWARM | {"cruise_height_m": [2.0, 1.0]}},
+            [],
+            "swarm.cruise_height_m: found 2 to 1, allowed rising heights between 0.5 and 3.5",
+        ),
+        (
+            {"swarm": SWARM | {"termination": {"altitude_m": [3.0, 1.0]}}},
+            [],
+            "swarm.termination.altitude_m: found 3 to 1, allowed at least 0.4 m between them",
+        ),
     ],
-    ids=["wire", "no swarm", "roles", "two ways"],
+    ids=["wire", "no swarm", "roles", "two ways", "falling heights", "no room"],
 )
 def test_what_cannot_be_flown_is_refused_in_one_sentence(
     changes: dict[str, object],
