@@ -20,7 +20,7 @@ from companion.yaml_source import load
 from sitl.dynamics import QuadrotorSettings
 from sitl.network import NetworkSettings
 from sitl.swarm.settings import SwarmSettings
-from sitl.wind import WindSettings
+from sitl.wind import GENTLE_GUSTS, WindSettings
 from sitl.worlds.pillars import pillar_field
 from sitl.worlds.primitives import World
 from sitl.worlds.settings import WorldSettings, site_of
@@ -80,7 +80,7 @@ class Scenario(Settings):
     operator: OperatorSettings = OperatorSettings()
     network: NetworkSettings = NetworkSettings()
     quadrotor: QuadrotorSettings = QuadrotorSettings()
-    wind: WindSettings = WindSettings(gust_mps=0.3, vertical_gust_mps=0.1)
+    wind: WindSettings = GENTLE_GUSTS
 
 
 @dataclass(frozen=True, slots=True, eq=False)

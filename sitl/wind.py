@@ -24,6 +24,10 @@ class WindSettings(Settings):
     """Correlation time of the vertical gusts."""
 
 
+GENTLE_GUSTS = WindSettings(gust_mps=0.3, vertical_gust_mps=0.1)
+"""What full fidelity flies in unless told otherwise."""
+
+
 class Wind:
     """Velocity of the air at n vehicles, each in gusts of its own.
 

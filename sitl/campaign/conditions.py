@@ -16,6 +16,7 @@ from sitl.abstract.settings import AbstractSettings
 from sitl.campaign.definition import CampaignDefinition, MethodEntry, Seeds, WorldEntry
 from sitl.swarm.record import Fidelity
 from sitl.swarm.settings import SwarmSettings
+from sitl.wind import GENTLE_GUSTS
 from sitl.worlds.sites import SITE_NAMES
 
 CONDITIONS_NAME = "campaign.json"
@@ -109,13 +110,20 @@ def conditions_of(definition: CampaignDefinition, path: Path) -> Conditions:
                 method=entry.method_name, observable_neighbours=count, follower=follower
             )
     full, folder = definition.fidelity == "full", path.parent
+    abstract = AbstractSettings.of(definition.perception)
+    wind = definition.wind or (GENTLE_GUSTS if full else abstract.wind)
+    if definition.wind is not None and not full and abstract.dynamics == "lag":
+        raise ProfileError(
+            f"{path}: wind: vehicles of `perception: paper` do not feel any in abstract fidelity; "
+            "take it away, or fly `perception: measured`"
+        )
     return Conditions(
         rules=Rules(
             seed=definition.seed,
             seeds=definition.seeds,
             fidelity=definition.fidelity,
             swarm=definition.swarm,
-            abstract=AbstractSettings.of(definition.perception),
+            abstract=abstract.model_copy(update={"wind": wind}),
             obstacle_distance_cap_m=definition.obstacle_distance_cap_m,
             leader_profile=load_profile(folder / definition.leader_profile) if full else None,
             follower_profile=load_profile(folder / definition.swarm.follower_profile) if full else None,

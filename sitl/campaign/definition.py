@@ -10,6 +10,7 @@ from companion.yaml_problems import misfit
 from companion.yaml_source import load
 from sitl.swarm.record import Fidelity
 from sitl.swarm.settings import Behaviour, SwarmSettings
+from sitl.wind import WindSettings
 
 Name = Annotated[str, Field(min_length=1, max_length=48, pattern=r"^[A-Za-z0-9][A-Za-z0-9_.+-]*$")]
 Seeds = Literal["held_out", "training"]
@@ -83,6 +84,9 @@ class CampaignDefinition(Settings):
     """Of each case, so many failed trials are flown again in abstract fidelity to leave a log each."""
     leader_profile: str = Field(default="sitl_swarm_leader.yaml", min_length=1, max_length=256)
     """Profile of the leader in full fidelity, relative to this file."""
+    wind: WindSettings | None = None
+    """Weather; by default none in abstract and gentle gusts in full fidelity, as in `sitl run`. With
+    `perception: paper` vehicles in abstract fidelity do not feel any."""
     swarm: SwarmSettings = SwarmSettings()
     """Start, leader and rules; `followers` counts only where the campaign does not say."""
 

@@ -55,6 +55,22 @@ def test_gains_come_from_the_profile_that_an_entry_names(tmp_path: Path) -> None
     assert conditions.variants["tuned"].follower.flock.cohesion_per_s == 0.77
 
 
+def test_full_fidelity_flies_in_gusts_and_all_weather_that_is_told_is_felt(tmp_path: Path) -> None:
+    for file in (*FIELD_CONFIGS.glob("uav_*.yaml"), *FIELD_CONFIGS.glob("sitl_swarm_*er.yaml")):
+        (tmp_path / file.name).write_bytes(file.read_bytes())
+
+    def gusts(text: str) -> float:
+        path = written(tmp_path, SMALL + text)
+        return conditions_of(load_definition(path), path).rules.abstract.wind.gust_mps
+
+    assert gusts("") == 0.0
+    assert gusts("fidelity: full\n") == 0.3
+    assert gusts("fidelity: full\nwind: {gust_mps: 2.0}\n") == 2.0
+    assert gusts("perception: measured\nwind: {gust_mps: 2.0}\n") == 2.0
+    with pytest.raises(ProfileError, match="do not feel any in abstract fidelity"):
+        gusts("wind: {gust_mps: 2.0}\n")
+
+
 def test_numbers_of_neighbours_are_rows_of_their_own_only_where_they_vary(tmp_path: Path) -> None:
     few = load_definition(written(tmp_path, SMALL + "observable_neighbours: [3, 10]\n"))
     assert selection_of(few).methods == ("flock_k3", "flock_k10")
