@@ -1,6 +1,7 @@
 """Tasks on a Ray cluster that exists already; those of a worker or computer that dies are done again."""
 
 import os
+import socket
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, TypeVar
 
@@ -38,6 +39,7 @@ def on_cluster(work: Callable[[_Task], _Result], tasks: Sequence[_Task], address
         import ray
     except ImportError:
         raise StartError("cluster: Ray is not installed; install this product's extra `cluster`") from None
+    _knock(address)
     try:
         ray.init(address=address, log_to_driver=False, include_dashboard=None, logging_level="ERROR")
     except (ConnectionError, RuntimeError, ValueError) as error:
@@ -47,6 +49,17 @@ def on_cluster(work: Callable[[_Task], _Result], tasks: Sequence[_Task], address
         yield from _gather(ray, remote, work, tasks)
     finally:
         ray.shutdown()
+
+
+def _knock(address: str) -> None:
+    """Make sure that somebody listens at ``HOST:PORT``: Ray itself would try for minutes."""
+    host, _, port = address.rpartition(":")
+    if "/" in address or not host or not port.isdecimal():
+        return
+    try:
+        socket.create_connection((host.strip("[]"), int(port)), _PATIENCE_S).close()
+    except (OSError, OverflowError, UnicodeError) as error:
+        raise StartError(f"cluster: no Ray cluster at {address}: {_first_line(error)}") from None
 
 
 def _do(work: Callable[[_Task], _Result], task: _Task) -> _Result:

@@ -7,6 +7,7 @@ from pathlib import Path
 import companion
 import sitl
 from companion.compiled import warm_up
+from companion.errors import ProfileError
 from companion.kernel_cache import forget_stale_kernels
 from sitl.campaign.conditions import Rules
 from sitl.campaign.definition import WorldEntry
@@ -16,9 +17,18 @@ from sitl.swarm.settings import SwarmSettings
 
 
 def scene_of(rules: Rules, world: WorldEntry, followers: int, trial: int) -> SwarmScene:
-    """Build the scene of a trial."""
+    """Build the scene of a trial.
+
+    Raises:
+        ProfileError: if the world has no place for such a swarm or such a way.
+    """
     seed = trial_seed(rules.seed, world.site_name, followers, trial, held_out=rules.seeds == "held_out")
-    return set_scene(swarm_of(rules, world, followers), world.site_name, seed)
+    try:
+        return set_scene(swarm_of(rules, world, followers), world.site_name, seed)
+    except ValueError as error:
+        raise ProfileError(
+            f"world {world.name} with {followers} followers, trial {trial}: no scene can be built: {error}"
+        ) from None
 
 
 def swarm_of(rules: Rules, world: WorldEntry, followers: int) -> SwarmSettings:

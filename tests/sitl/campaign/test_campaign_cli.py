@@ -1,8 +1,12 @@
+import contextlib
+import io
 import json
 import os
 import signal
+import socket
 import subprocess
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -29,18 +33,36 @@ def definition(tmp_path: Path) -> Path:
     return path
 
 
+@dataclass(frozen=True)
+class Finished:
+    """A campaign that was flown in one process: its folder, and what the command said at last."""
+
+    out: Path
+    code: int
+    result: dict[str, Any]
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Finished:
+    """Fly the whole campaign once for all who only look at what it left."""
+    folder = tmp_path_factory.mktemp("finished")
+    path, out = folder / "campaign.yaml", folder / "out"
+    path.write_text(CAMPAIGN, encoding="utf-8")
+    said = io.StringIO()
+    with contextlib.redirect_stdout(said):
+        code = main(["campaign", str(path), "--workers", "1", "--out", str(out), "--json"])
+    return Finished(out, code, json.loads(said.getvalue().splitlines()[-1]))
+
+
 def flown(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, dict[str, Any]]:
     code = main([*map(str, arguments), "--json"])
     result: dict[str, Any] = json.loads(capsys.readouterr().out.splitlines()[-1])
     return code, result
 
 
-def test_a_campaign_leaves_rows_a_table_and_a_report(
-    definition: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    out = tmp_path / "out"
-    code, result = flown(capsys, "campaign", definition, "--workers", 1, "--out", out)
-    assert code == ExitCode.OK
+def test_a_campaign_leaves_rows_a_table_and_a_report(finished: Finished) -> None:
+    out, result = finished.out, finished.result
+    assert finished.code == ExitCode.OK
     cases = [(row["world"], row["method"], row["followers"], row["trials"]) for row in result["rows"]]
     assert cases == [(w, m, 2, 3) for w in ("none", "pillars_10m") for m in ("flock", "vpf")]
     for row in result["rows"]:
@@ -51,22 +73,19 @@ def test_a_campaign_leaves_rows_a_table_and_a_report(
 
 
 def test_workers_do_not_change_a_byte(
-    definition: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    finished: Finished, definition: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    one, two = tmp_path / "one", tmp_path / "two"
-    _, first = flown(capsys, "campaign", definition, "--workers", 1, "--out", one)
+    one, two = finished.out, tmp_path / "two"
+    first = finished.result
     _, second = flown(capsys, "campaign", definition, "--workers", 2, "--out", two)
     assert first["rows"] == second["rows"]
     for name in (TABLE_NAME, "tables.md", "tables.tex", "campaign.json"):
         assert (one / name).read_bytes() == (two / name).read_bytes()
 
 
-def test_methods_fly_the_same_scenes(
-    definition: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    flown(capsys, "campaign", definition, "--workers", 1, "--out", tmp_path / "out")
+def test_methods_fly_the_same_scenes(finished: Finished) -> None:
     scenes: dict[tuple[str, int], set[tuple[int, str]]] = {}
-    for trial in read_trials(tmp_path / "out" / TABLE_NAME):
+    for trial in read_trials(finished.out / TABLE_NAME):
         scenes.setdefault((trial.world, trial.trial), set()).add((trial.seed, trial.scene_hash))
     assert len(scenes) == 6
     assert all(len(seen) == 1 for seen in scenes.values())
@@ -107,6 +126,38 @@ def test_workers_and_a_cluster_exclude_each_other(
     assert code == ExitCode.USAGE
 
 
+def test_a_cluster_where_nobody_listens_is_said_at_once(
+    definition: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("ray")
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        address = f"127.0.0.1:{free.getsockname()[1]}"
+        code, result = flown(capsys, "campaign", definition, "--ray", address, "--out", tmp_path / "out")
+    assert code != ExitCode.OK
+    assert result["error"].startswith(f"cluster: no Ray cluster at {address}: ")
+
+
+@pytest.mark.parametrize(
+    ("workers", "more"), [(1, "[{name: indoor_wall, behaviour: turn}]"), (2, "[indoor_wall]")]
+)
+def test_a_scene_that_cannot_be_is_refused_in_one_sentence(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], workers: int, more: str
+) -> None:
+    file = tmp_path / "campaign.yaml"
+    file.write_text(
+        f"title: T\nworlds: {more}\nmethods: [flock]\nswarm: {{leader: {{behaviour: turn}}}}\n",
+        encoding="utf-8",
+    )
+    code, result = flown(
+        capsys, "campaign", file, "--trials", 1, "--workers", workers, "--out", tmp_path / "out"
+    )
+    assert code == ExitCode.CONFIG
+    assert result["error"].startswith(
+        "world indoor_wall with 4 followers, trial 0: no scene can be built: this"
+    )
+
+
 def test_a_folder_of_another_campaign_is_refused_in_one_sentence(
     definition: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -119,10 +170,9 @@ def test_a_folder_of_another_campaign_is_refused_in_one_sentence(
 
 
 def test_a_trial_flies_again_as_it_did(
-    definition: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    finished: Finished, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    out, log = tmp_path / "out", tmp_path / "trial.mcap"
-    flown(capsys, "campaign", definition, "--workers", 1, "--out", out)
+    out, log = finished.out, tmp_path / "trial.mcap"
     [trial] = [
         trial
         for trial in read_trials(out / TABLE_NAME)
@@ -142,23 +192,37 @@ def test_a_trial_flies_again_as_it_did(
     [("moon", "log.mcap", "no world 'moon'; it has none"), ("none", "log.txt", "ends in .mcap")],
 )
 def test_a_trial_that_cannot_be_flown_again_is_refused(
-    definition: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], world: str, name: str, told: str
+    finished: Finished, tmp_path: Path, capsys: pytest.CaptureFixture[str], world: str, name: str, told: str
 ) -> None:
-    out = tmp_path / "out"
-    flown(capsys, "campaign", definition, "--trials", 1, "--worlds", "none", "--workers", 1, "--out", out)
     which = ["--world", world, "--method", "flock", "--followers", 2, "--trial", 0]
-    code, result = flown(capsys, "trial", out, *which, "--out", tmp_path / name)
+    code, result = flown(capsys, "trial", finished.out, *which, "--out", tmp_path / name)
     assert code == ExitCode.DATA
     assert told in result["error"]
 
 
+STOPPED = ["--trials", "40", "--worlds", "none", "--methods", "flock"]
+
+
+@pytest.fixture(scope="module")
+def unstopped(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """Return the table of the campaign that is stopped elsewhere, flown without a stop."""
+    folder = tmp_path_factory.mktemp("unstopped")
+    path, out = folder / "campaign.yaml", folder / "out"
+    path.write_text(CAMPAIGN, encoding="utf-8")
+    assert main(["campaign", str(path), *STOPPED, "--workers", "1", "--out", str(out)]) == ExitCode.OK
+    return (out / TABLE_NAME).read_bytes()
+
+
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGINT])
 def test_a_stopped_campaign_goes_on_to_the_same_result(
-    definition: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], how: signal.Signals
+    definition: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    unstopped: bytes,
+    how: signal.Signals,
 ) -> None:
-    out, whole = tmp_path / "out", tmp_path / "whole"
-    arguments = ["--trials", "40", "--worlds", "none", "--methods", "flock"]
-    command = [sys.executable, "-m", "sitl", "campaign", str(definition), *arguments, "--workers", "2"]
+    out = tmp_path / "out"
+    command = [sys.executable, "-m", "sitl", "campaign", str(definition), *STOPPED, "--workers", "2"]
     child = subprocess.Popen([*command, "--out", str(out)], stderr=subprocess.PIPE, text=True)
     assert child.stderr is not None
     with child.stderr as lines:
@@ -175,6 +239,5 @@ def test_a_stopped_campaign_goes_on_to_the_same_result(
         assert code == ExitCode.INTERRUPTED
         assert "the same command goes on from what is in" in told
         assert len(read_trials(out / TABLE_NAME)) == before
-    for folder in (out, whole):
-        flown(capsys, "campaign", definition, *arguments, "--workers", 1, "--out", folder)
-    assert (out / TABLE_NAME).read_bytes() == (whole / TABLE_NAME).read_bytes()
+    flown(capsys, "campaign", definition, *STOPPED, "--workers", 1, "--out", out)
+    assert (out / TABLE_NAME).read_bytes() == unstopped
