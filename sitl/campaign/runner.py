@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from sitl.campaign.conditions import Conditions, claim
-from sitl.campaign.journal import opened
+from sitl.campaign.journal import opened, read_journal
 from sitl.campaign.store import write_trials
 from sitl.campaign.tasks import SceneTask, Selection, pending_tasks
 from sitl.swarm.record import Fidelity, TrialRecord
@@ -72,5 +72,6 @@ def run_campaign(
                     done += len(records)
                     on_progress(Progress(done, total, kept))
         finally:
-            write_trials(folder, journal.records())
+            # An interrupt may come when a trial is on the disk but not yet counted: the disk decides.
+            write_trials(folder, read_journal(folder))
         return [journal[key] for key in selection]

@@ -1,4 +1,5 @@
 import json
+import os
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -99,6 +100,25 @@ def test_a_stopped_campaign_leaves_a_table_and_goes_on_where_it_was(tmp_path: Pa
     assert sum(len(task.trials) * len(task.variants) for task in flown) == len(WANTED) - len(before)
     run(tmp_path / "b")
     assert (tmp_path / "a" / TABLE_NAME).read_bytes() == (tmp_path / "b" / TABLE_NAME).read_bytes()
+
+
+def test_trials_on_the_disk_are_in_the_table_when_an_interrupt_comes_before_they_count(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    synced: list[int] = []
+
+    def interrupted(descriptor: int) -> None:
+        synced.append(descriptor)
+        if len(synced) == 3:
+            raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(os, "fsync", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            run(tmp_path)
+    saved = (tmp_path / JOURNAL_NAME).read_bytes().splitlines()
+    assert 0 < len(saved) < len(WANTED)
+    assert len(read_trials(tmp_path / TABLE_NAME)) == len(saved)
 
 
 def test_results_that_lost_their_last_line_are_completed(tmp_path: Path) -> None:
