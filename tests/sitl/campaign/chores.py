@@ -1,12 +1,8 @@
-"""Work for worker processes, importable by them."""
+"""Work for worker processes, importable by them in little time."""
 
 import os
 import signal
 from pathlib import Path
-
-from sitl.campaign.tasks import SceneTask
-from sitl.campaign.trials import fly_scenes
-from sitl.swarm.record import TrialRecord
 
 
 def double(number: int) -> int:
@@ -20,14 +16,6 @@ def die_once(chore: tuple[int, str]) -> tuple[int, int]:
         Path(mark).touch()
         os.kill(os.getpid(), signal.SIGKILL)
     return number, os.getpid()
-
-
-def fly_or_die(task: SceneTask, mark: str) -> list[TrialRecord]:
-    """Fly a campaign's scenes, but die when the fifth is met for the first time."""
-    if 5 in task.trials and not Path(mark).exists():
-        Path(mark).touch()
-        os.kill(os.getpid(), signal.SIGKILL)
-    return fly_scenes(task)
 
 
 def die(number: int) -> int:

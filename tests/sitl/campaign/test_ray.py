@@ -16,7 +16,8 @@ from sitl.campaign.store import TABLE_NAME
 from sitl.campaign.tasks import SceneTask, selection_of
 from sitl.campaign.trials import fly_scenes
 from sitl.swarm.record import TrialRecord
-from tests.sitl.campaign.chores import die_once, fly_or_die
+from tests.sitl.campaign.chores import die_once
+from tests.sitl.campaign.deadly_flights import fly_or_die
 
 os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
 cluster_utils = pytest.importorskip("ray.cluster_utils")
