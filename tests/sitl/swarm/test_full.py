@@ -96,9 +96,15 @@ def advance(flown: FlightPlan, workers: int, steps: int) -> list[str]:
 
 
 def test_the_number_of_processes_cannot_be_seen_in_any_log(tmp_path: Path) -> None:
-    alone = advance(plan(tmp_path / "one", vehicles=3), 1, 600)
-    assert advance(plan(tmp_path / "two", vehicles=3), 2, 600) == alone
+    flown = plan(tmp_path / "one", vehicles=3)
+    alone = advance(flown, 1, 450)
+    assert advance(plan(tmp_path / "two", vehicles=3), 2, 450) == alone
     assert len(set(alone)) == 3
+    # By then everybody has a pose and sees the others.
+    for number in range(3):
+        *_, last = FlightRecording(flown.log_path(number)).messages(channels.NEIGHBOURS)
+        assert isinstance(last.message, NeighbourTracks)
+        assert last.message.tracks
 
 
 def test_a_process_that_dies_ends_the_run_with_one_sentence_and_readable_logs(tmp_path: Path) -> None:
