@@ -48,9 +48,10 @@ def test_new_ground_makes_the_map_less_certain_the_farther_it_goes() -> None:
     world = World(pillars=pillars[np.abs(pillars[:, 1] - 0.5) > 1.5])
     flight = SimulatedFlight(world, Trajectory(knots, p_world, np.zeros_like(knots)), seed=4)
     settings = SMALL.model_copy(update={"max_range_m": 20.0})
+    whole = list(flight.events())
     grown = []
     for duration_s in (6.0, 12.0):
-        events = [e for e in flight.events() if _time_s(e) < duration_s]
+        events = [e for e in whole if _time_s(e) < duration_s]
         outcome = run(events, settings)
         assert outcome.lio.anchor.periods > 1
         grown.append(_inherited_mm(outcome))
