@@ -44,7 +44,6 @@ from companion.control.followers.layout_kernels import (
     FLOCK_FEED_FORWARD,
     FLOCK_FLOW,
     FLOCK_FLOW_REACH,
-    FLOCK_FLOW_TURN,
     FLOCK_HEED,
     FLOCK_HEIGHT_GAIN,
     FLOCK_LEAD,
@@ -66,7 +65,6 @@ from companion.messages import FloatArray
 _TOUCHING_M = 0.35
 _LEAST_GAP_M = 0.1
 _FLOW_COLUMNS = 72.0 / 8.0
-_COS_AHEAD = math.cos(math.radians(70.0))
 _SAME_PLACE_M = 1e-6
 _RECOVERY_AFTER_S = 1.0
 
@@ -225,23 +223,15 @@ def _coast(ego: FloatArray, memory: FloatArray, parameters: FloatArray, wish: Fl
 
 @inlined
 def _flow_round(memory: FloatArray, parameters: FloatArray, wish: FloatArray) -> None:
-    """Add a push away from near columns and, of those ahead, a turn towards the side of the wish."""
+    """Add a push away from near columns."""
     reach, radius = parameters[FLOCK_FLOW_REACH], parameters[FLOCK_BODY_RADIUS]
-    ux, uy = wish[0], wish[1]
-    speed = math.sqrt(ux * ux + uy * uy)
     for column in range(AZIMUTHS):
         room = max(memory[FLOCK_COLUMNS + column] - radius, _LEAST_GAP_M)
-        if not room < reach:
-            continue
-        angle = direction_of(column, AZIMUTHS)
-        nx, ny = math.cos(angle), math.sin(angle)
-        strength = parameters[FLOCK_FLOW] * (1.0 / room - 1.0 / reach) / _FLOW_COLUMNS
-        wish[0] -= strength * nx
-        wish[1] -= strength * ny
-        if speed > _SAME_PLACE_M and ux * nx + uy * ny > _COS_AHEAD * speed:
-            side = 1.0 if nx * uy - ny * ux >= 0.0 else -1.0
-            wish[0] -= parameters[FLOCK_FLOW_TURN] * side * strength * ny
-            wish[1] += parameters[FLOCK_FLOW_TURN] * side * strength * nx
+        if room < reach:
+            angle = direction_of(column, AZIMUTHS)
+            strength = parameters[FLOCK_FLOW] * (1.0 / room - 1.0 / reach) / _FLOW_COLUMNS
+            wish[0] -= strength * math.cos(angle)
+            wish[1] -= strength * math.sin(angle)
 
 
 @inlined

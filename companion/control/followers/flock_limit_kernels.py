@@ -1,7 +1,8 @@
 """What `flock` allows: half-planes of velocity, the way round what is in the way, and the projection.
 
-Towards an obstacle at distance d, v.n <= a (d - margin); towards a neighbour the same, plus a share of the
-neighbour's own velocity. Distances are those that will be left once a new command takes effect.
+Towards an obstacle at distance d, v.n <= a (d - margin); towards a neighbour the same, plus the velocity at
+which it flies away, or less a share of that at which it comes. Distances are those that will be left once a
+new command takes effect.
 """
 
 import math
@@ -94,7 +95,8 @@ def limit_by_neighbours(
         distance = max(math.sqrt(x * x + y * y), _SAME_PLACE_M)
         ex, ey = x / distance, y / distance
         bound = parameters[FLOCK_NEIGHBOUR_RATE] * (distance - parameters[FLOCK_NEIGHBOUR_MARGIN])
-        bound += parameters[FLOCK_NEIGHBOUR_SHARE] * (vx * ex + vy * ey)
+        away = vx * ex + vy * ey
+        bound += away if away > 0.0 else parameters[FLOCK_NEIGHBOUR_SHARE] * away
         count = _limit(count, ex, ey, bound, memory)
     return count
 
@@ -151,14 +153,16 @@ def take_detour(
 
 @inlined
 def project(count: int, memory: FloatArray, wish: FloatArray) -> None:
-    """Project the wish onto the first `count` half-planes in turn.
+    """Project the wish onto the first `count` half-planes in turn, the last first.
+
+    Obstacles come last, so that they have the last word where neighbours push towards them.
 
     Source: cyclic projections, L. M. Bregman, "The method of successive projection for finding a common point
     of convex sets", 1965: they end in a common point if there is one.
     """
     for _ in range(_PASSES):
         changed = False
-        for index in range(count):
+        for index in range(count - 1, -1, -1):
             at = FLOCK_LIMITS + index * FLOCK_LIMIT_SIZE
             excess = wish[0] * memory[at] + wish[1] * memory[at + 1] - memory[at + 2]
             if excess > 1e-9:

@@ -55,13 +55,13 @@ class Flock:
         seen = self._recall(ego)
         v, rise = self._together(ego, seen)
         v = v + self._close_gaps(seen)
-        v = v + self._flow(columns, v)
+        v = v + self._flow(columns)
         v = clipped(v, self.command.max_speed_mps)
         planes = self._obstacle_planes(ego, columns)
         v = self._detour(ego, planes, v)
         planes += self._neighbour_planes(ego, seen)
         for _ in range(6):
-            for n, bound in planes:
+            for n, bound in reversed(planes):
                 v = v - max(float(v @ n) - max(bound, -1.0), 0.0) * n
         self.wish_map = turned(v, ego[6])
         return np.append(v, rise)
@@ -173,19 +173,13 @@ class Flock:
                 total += other.trust * self.g.link_per_s * (d - self.g.link_m) * other.r / d
         return total
 
-    def _flow(self, columns: FloatArray, v: FloatArray) -> FloatArray:
+    def _flow(self, columns: FloatArray) -> FloatArray:
         g = self.g
         total = np.zeros(2)
-        speed = np.linalg.norm(v)
         for n, distance in zip(directions(), columns, strict=True):
-            room = max(distance - g.body_radius_m, 0.1)
-            if room >= g.flow_reach_m:
-                continue
-            size = g.flow_m2ps * (1.0 / room - 1.0 / g.flow_reach_m) / _FLOW_COLUMNS
-            total -= size * n
-            if speed > 1e-6 and v @ n > np.cos(np.radians(70.0)) * speed:
-                left = np.array([-n[1], n[0]])
-                total += g.flow_turn * size * (left if v @ left >= 0.0 else -left)
+            room = max(float(distance) - g.body_radius_m, 0.1)
+            if room < g.flow_reach_m:
+                total -= g.flow_m2ps * (1.0 / room - 1.0 / g.flow_reach_m) / _FLOW_COLUMNS * n
         return total
 
     def _obstacle_planes(self, ego: FloatArray, columns: FloatArray) -> list[tuple[FloatArray, float]]:
@@ -211,7 +205,9 @@ class Flock:
         for other in seen:
             r = other.r + g.lead_s * (other.v - ego[3:5])
             d = float(np.linalg.norm(r))
-            bound = g.neighbour_per_s * (d - g.neighbour_margin_m) + g.neighbour_share * (other.v @ r) / d
+            away = float(other.v @ r) / d
+            bound = g.neighbour_per_s * (d - g.neighbour_margin_m)
+            bound += away if away > 0.0 else g.neighbour_share * away
             planes.append((r / d, float(bound)))
         return planes
 

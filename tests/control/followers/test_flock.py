@@ -59,7 +59,7 @@ def test_everybody_left_behind_alike_does_not_turn_it_round() -> None:
         (-2.5, 0.5, 0.0, -1.0, 0.0, 0.0), (-2.5, -0.5, 0.0, -1.0, 0.0, 0.0), (2.0, 0.0, 0.0, 0.5, 0.0, 0.0)
     )
     v = Follower("flock").settle(own(v=tuple(v_own)), standing)
-    assert v[0] > 0.5
+    assert v[0] > 0.3
 
 
 @pytest.mark.parametrize("side", [0.4, -0.4])
@@ -131,7 +131,7 @@ def test_an_obstacle_that_leaves_the_view_is_remembered_for_a_while_and_then_for
     just_out = follower.steer(own(), flock)
     for _ in range(60):
         later = follower.steer(own(), flock)
-    assert just_out[0] < 0.3 < later[0]
+    assert just_out[0] < 0.5 * later[0]
 
 
 def test_a_neighbour_out_of_sight_is_followed_for_a_while() -> None:

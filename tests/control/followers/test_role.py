@@ -151,8 +151,14 @@ def test_without_trustworthy_odometry_it_asks_for_zero(status: OdometryStatus) -
     fly(follower, START_NS, 10)
     lost = odometry(START_NS, status=status)
     assert not follower.decide(lost, START_NS + TICK_NS).command.v_map.any()
-    broken = odometry(START_NS, p_map=np.array([np.nan, 0.0, 0.0]))
-    assert not follower.decide(broken, START_NS + TICK_NS).command.v_map.any()
+    for broken in (
+        odometry(START_NS, p_map=np.array([np.nan, 0.0, 0.0])),
+        odometry(START_NS, q_map_body=np.array([1.0, 0.0, np.nan, 0.0])),
+        odometry(START_NS, omega_body=np.array([0.0, 0.0, np.inf])),
+    ):
+        assert not follower.decide(broken, START_NS + TICK_NS).command.v_map.any()
+    # It goes on from standstill, not from what it flew before.
+    assert not follower.decide(odometry(START_NS), START_NS + 2 * TICK_NS).command.v_map.any()
 
 
 def test_tracks_of_another_scan_are_not_taken_for_those_of_this_one() -> None:
