@@ -123,7 +123,7 @@ def test_with_nobody_in_view_it_stays_and_returns_to_the_recovery_height_slowly(
 
 def test_an_obstacle_in_the_scan_holds_it_back() -> None:
     angle, height = np.meshgrid(np.linspace(-0.5, 0.5, 40), np.linspace(1.2, 1.8, 20))
-    wall = np.column_stack([np.full(angle.size, 0.55), 2.0 * np.tan(angle).ravel(), height.ravel()])
+    wall = np.column_stack([np.full(angle.size, 0.4), 2.0 * np.tan(angle).ravel(), height.ravel()])
     blocked, open_field = role(), role()
     for follower, points in ((blocked, wall), (open_field, None)):
         follower.reset(odometry(START_NS))
