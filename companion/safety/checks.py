@@ -104,7 +104,8 @@ class Checks:
             return f"odometry {odometry.status.name.lower()}: {odometry.reason or 'not ready'}"
         if odometry.quality < self._settings.min_quality:
             return f"odometry quality {odometry.quality}: {odometry.reason or 'low'}"
-        if not (np.isfinite(odometry.p_map).all() and np.isfinite(odometry.v_map).all()):
+        motion = (odometry.p_map, odometry.v_map, odometry.q_map_body, odometry.omega_body)
+        if not all(np.isfinite(part).all() for part in motion):
             return "odometry is not finite"
         if t_scan_ns == 0:
             return "no scan yet"

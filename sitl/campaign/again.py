@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from companion.errors import LogError
-from sitl.campaign.conditions import CONDITIONS_NAME, Conditions, kept_conditions
+from sitl.campaign.conditions import CONDITIONS_NAME, Conditions, kept_conditions, product_version
 from sitl.campaign.journal import Key
 from sitl.campaign.scenes import scene_of
 from sitl.campaign.trial_log import write_trial_log
@@ -24,11 +24,17 @@ def fly_again(folder: Path, key: Key, out: Path) -> tuple[TrialRecord, list[Path
         The same record as in the campaign, and the logs.
 
     Raises:
-        LogError: if there is no such campaign, world or method, or the log cannot be written.
+        LogError: if there is no such campaign, world or method, if another version flew it, or if the log
+            cannot be written.
     """
     conditions = kept_conditions(folder)
     if conditions is None:
         raise LogError(f"{folder}: no results of a campaign: there is no {CONDITIONS_NAME}")
+    if conditions.rules.version != product_version():
+        raise LogError(
+            f"{folder}: flown by version {conditions.rules.version}; this is {product_version()}, "
+            "which may fly differently"
+        )
     world, label, _, _ = key
     _known(folder, "world", world, conditions.worlds)
     _known(folder, "method", label, conditions.variants)

@@ -1,13 +1,16 @@
 """All that decides how a trial goes, kept beside its results: whoever has the folder can fly it again."""
 
+import hashlib
 import json
 from collections.abc import Collection, Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 from pydantic import Field, ValidationError
 
-from companion import __version__
+import companion
+import sitl
 from companion.config import Profile, load_profile
 from companion.control.followers.settings import METHODS, FollowerSettings
 from companion.errors import LogError, ProfileError
@@ -23,6 +26,18 @@ CONDITIONS_NAME = "campaign.json"
 _MAX_BYTES = 16 * 1024**2
 
 
+@lru_cache(maxsize=1)
+def product_version() -> str:
+    """Return the version and a digest of all sources: trials of two versions must not share a table."""
+    digest = hashlib.sha256()
+    for package in (companion, sitl):
+        root = Path(package.__path__[0])
+        for source in sorted(root.rglob("*.py")):
+            digest.update(source.relative_to(root).as_posix().encode())
+            digest.update(source.read_bytes())
+    return f"{companion.__version__}+{digest.hexdigest()[:12]}"
+
+
 class OtherCampaignError(LogError):
     """A folder holds the results of a campaign under other conditions; the text says which."""
 
@@ -30,8 +45,8 @@ class OtherCampaignError(LogError):
 class Rules(Settings):
     """What all trials of a campaign have in common."""
 
-    version: str = __version__
-    """Of the product that flew them."""
+    version: str = Field(default_factory=product_version)
+    """Of the product that flew them, with a digest of its sources."""
     seed: int
     """Of the campaign."""
     seeds: Seeds

@@ -77,6 +77,9 @@ def test_fresh_odometry_and_a_live_link_are_healthy() -> None:
         ({"status": OdometryStatus.LOST, "reason": "diverged"}, "lost: diverged"),
         ({"status": OdometryStatus.INITIALISING}, "initialising"),
         ({"p_map": np.array([np.nan, 0, 0])}, "not finite"),
+        ({"v_map": np.array([0, np.inf, 0])}, "not finite"),
+        ({"q_map_body": np.array([1, 0, 0, np.nan])}, "not finite"),
+        ({"omega_body": np.array([0, 0, np.inf])}, "not finite"),
     ],
 )
 def test_bad_odometry_is_named(change: dict[str, object], word: str) -> None:

@@ -144,6 +144,9 @@ class FollowerRole:
             `reset`.
         """
         if not _usable(odometry):
+            # What follows starts from standstill, as after `reset`: that is what is commanded now.
+            self._memory[:] = 0.0
+            self._decided_ns = None
             return _decision(odometry, np.zeros(3))
         if odometry.reset_counter != self._reset_counter:
             self.reset(odometry)
@@ -194,6 +197,8 @@ def _usable(odometry: Odometry) -> bool:
         odometry.status in (OdometryStatus.TRACKING, OdometryStatus.DEGRADED)
         and bool(np.all(np.isfinite(odometry.p_map)))
         and bool(np.all(np.isfinite(odometry.v_map)))
+        and bool(np.all(np.isfinite(odometry.q_map_body)))
+        and bool(np.all(np.isfinite(odometry.omega_body)))
     )
 
 

@@ -2,6 +2,7 @@ import contextlib
 import io
 import json
 import os
+import shutil
 import signal
 import socket
 import subprocess
@@ -13,6 +14,7 @@ from typing import Any
 import pytest
 
 from companion.exit_codes import ExitCode
+from sitl.campaign.conditions import CONDITIONS_NAME, product_version
 from sitl.campaign.journal import JOURNAL_NAME
 from sitl.campaign.scenes import prepare
 from sitl.campaign.store import TABLE_NAME, read_trials
@@ -198,6 +200,22 @@ def test_a_trial_that_cannot_be_flown_again_is_refused(
     code, result = flown(capsys, "trial", finished.out, *which, "--out", tmp_path / name)
     assert code == ExitCode.DATA
     assert told in result["error"]
+
+
+def test_trials_of_another_version_are_neither_continued_nor_flown_again(
+    finished: Finished, definition: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    shutil.copytree(finished.out, out)
+    kept = out / CONDITIONS_NAME
+    kept.write_text(kept.read_text("utf-8").replace(product_version(), "0.0.1+abc"), "utf-8")
+    code, result = flown(capsys, "campaign", definition, "--workers", 1, "--out", out)
+    assert code != ExitCode.OK
+    assert "version" in result["error"]
+    which = ["--world", "none", "--method", "flock", "--followers", 2, "--trial", 0]
+    code, result = flown(capsys, "trial", out, *which, "--out", tmp_path / "log.mcap")
+    assert code == ExitCode.DATA
+    assert "0.0.1+abc" in result["error"]
 
 
 STOPPED = ["--trials", "40", "--worlds", "none", "--methods", "flock"]
