@@ -92,19 +92,19 @@ class LloydSettings(Settings):
 
     radius_m: float = Field(default=3.0, gt=0.5, le=10.0)
     """Of the cell, where nothing cuts it."""
-    spread_m: float = Field(default=1.5, gt=0.1, le=10.0)
+    spread_m: float = Field(default=0.5, gt=0.1, le=10.0)
     """Width of the weight about the goal."""
-    least_spread_m: float = Field(default=0.5, gt=0.1, le=10.0)
+    least_spread_m: float = Field(default=0.3, gt=0.1, le=10.0)
     """Width that it narrows to while the vehicle is stuck."""
     stuck_m: float = Field(default=0.2, ge=0.0, le=5.0)
     """The vehicle is stuck if its centroid is nearer than this,"""
     hindered_m: float = Field(default=1.0, ge=0.0, le=5.0)
     """and the disc's own centroid farther from it than this."""
-    look_ahead_s: float = Field(default=1.0, ge=0.0, le=5.0)
+    look_ahead_s: float = Field(default=1.5, ge=0.0, le=5.0)
     """The goal is where the neighbours' mean will be after this time."""
-    gain_per_s: float = Field(default=1.2, ge=0.0, le=5.0)
+    gain_per_s: float = Field(default=1.5, ge=0.0, le=5.0)
     """Speed for each metre to the centroid."""
-    spacing_m: float = Field(default=1.5, ge=0.4, le=5.0)
+    spacing_m: float = Field(default=1.0, ge=0.4, le=5.0)
     """Vehicles are kept this far apart."""
     obstacle_room_m: float = Field(default=0.5, ge=0.2, le=3.0)
     """Distance from obstacles to the vehicle's centre that is left free."""

@@ -129,7 +129,7 @@ def test_changed_gains_are_packed_and_checked() -> None:
     changed = with_gains(FollowerSettings(), "lloyd", {"spacing_m": 1.7})
     assert changed.method == "lloyd"
     assert changed.packed()[layout.LLOYD_SPACING] == 1.7
-    assert FollowerSettings().packed("lloyd")[layout.LLOYD_SPACING] == 1.5
+    assert FollowerSettings().packed("lloyd")[layout.LLOYD_SPACING] == 1.0
     with pytest.raises(ValueError, match="spacing"):
         with_gains(FollowerSettings(), "lloyd", {"spacing_m": 50.0})
     with pytest.raises(ValueError, match="spacin"):
