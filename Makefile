@@ -23,6 +23,7 @@ test: $(INSTALLED)
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/companion warmup
+	$(BIN)/python -c 'from sitl.campaign.scenes import prepare; prepare()'
 	$(BIN)/pytest -q -n 2 -m "not sockets"
 	$(BIN)/pytest -q -m sockets
 
