@@ -11,7 +11,6 @@ import typer
 
 from companion.command_line import Result
 from companion.exit_codes import ExitCode
-from companion.logs.metrics import DEFAULT_CAP_M
 from sitl.swarm.record import Fidelity
 
 if TYPE_CHECKING:
@@ -69,6 +68,9 @@ def _print(outcome: "SwarmOutcome") -> None:
     record = outcome.record
     by = f" ({', '.join(map(str, record.ended_by))})" if record.ended_by else ""
     verdict = "success" if record.end == "success" else f"FAILED: {record.end.replace('_', ' ')}{by}"
+    # Loaded late: the help of a command needs no numerical library.
+    from companion.logs.metrics import DEFAULT_CAP_M
+
     far = f"none within {DEFAULT_CAP_M:g} m"
     rows = [
         ("swarm", verdict),
