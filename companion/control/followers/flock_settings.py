@@ -28,11 +28,11 @@ class FlockSettings(Settings):
     """The wanted height is the neighbours' mean at 0, that of the highest at 1."""
     below_m: float = Field(default=0.0, ge=-0.5, le=0.5)
     """Flown this much under the wanted height: those lower are out of sight sooner than those higher."""
-    dodge_mps: float = Field(default=2.0, ge=0.0, le=10.0)
+    dodge_mps: float = Field(default=3.0, ge=0.0, le=10.0)
     """Speed at which a follower steps aside from a neighbour about to hit it."""
-    dodge_time_s: float = Field(default=2.2, ge=0.0, le=10.0)
+    dodge_time_s: float = Field(default=3.0, ge=0.0, le=10.0)
     """How early that begins."""
-    dodge_room_m: float = Field(default=1.2, gt=0.1, le=5.0)
+    dodge_room_m: float = Field(default=1.5, gt=0.1, le=5.0)
     """A neighbour that will pass farther than this is let pass."""
     flow_m2ps: float = Field(default=0.1, ge=0.0, le=5.0)
     """Push away from obstacles."""
