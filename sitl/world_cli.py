@@ -98,15 +98,11 @@ def _described(site: "Site", seed: int) -> dict[str, Any]:
 
 
 def _draw(site: "Site", facts: Result, out: Path) -> None:
-    from companion.errors import CompanionError
+    from companion.logs.figure_page import write_whole
     from sitl.worlds.plan_view import page
 
-    try:
-        from plotly.offline import get_plotlyjs
-    except ImportError:
-        raise CompanionError("drawing a world needs plotly: pip install 'companion[bench]'") from None
     title = f"{site.name}, seed {facts['seed']}"
-    out.write_text(page(site, title, _bodies(facts), str(get_plotlyjs())), "utf-8")
+    write_whole(out, page(site, title, _bodies(facts)))
 
 
 def _bodies(facts: Result) -> str:

@@ -18,6 +18,10 @@ from companion.errors import LogError
 Figure = dict[str, Any]
 
 
+class NoPlotsError(LogError):
+    """The library that draws is not installed; what needs no plots can still be written."""
+
+
 @dataclass(frozen=True, slots=True)
 class FigureBox:
     """One plot on a page.
@@ -25,7 +29,7 @@ class FigureBox:
     Attributes:
         name: identifier in the page, letters, digits and dashes.
         title: its heading.
-        caption: how to read it, one or two sentences.
+        caption: how to read it, one or two sentences; or empty.
         figure: Plotly's data and layout as plain values, without any that is not finite.
         wide: it takes the page's whole width.
     """
@@ -67,7 +71,7 @@ figcaption, p.note, li.note { color: #64748b; font-size: 13px; margin: 6px 0 0; 
 details { margin: 6px 0; } summary { cursor: pointer; }
 a { color: #2563eb; } code { font-size: 13px; }
 @media (max-width: 760px) { .grid { grid-template-columns: minmax(0, 1fr); } }
-</style>
+$style</style>
 </head>
 <body>
 <main>
@@ -92,7 +96,16 @@ for (const [name, figure] of Object.entries($figures)) {
 </script>""")
 
 
-def page(title: str, lead: str, boxes: Sequence[FigureBox] = (), *, before: str = "", after: str = "") -> str:
+def page(
+    title: str,
+    lead: str,
+    boxes: Sequence[FigureBox] = (),
+    *,
+    before: str = "",
+    after: str = "",
+    style: str = "",
+    rows: Sequence[object] | None = None,
+) -> str:
     """Return the whole page.
 
     Args:
@@ -101,20 +114,25 @@ def page(title: str, lead: str, boxes: Sequence[FigureBox] = (), *, before: str 
         boxes: the plots, in their order.
         before: HTML above the plots.
         after: HTML below them.
+        style: rules for this page alone, CSS.
+        rows: what the tables show, for programs that read the page: JSON in the element `rows`.
 
     Raises:
-        LogError: if there are plots and the plotting library is not installed.
+        NoPlotsError: if there are plots and the plotting library is not installed.
     """
     scripts = ""
+    if rows is not None:
+        scripts = f'<script type="application/json" id="rows">{script_json(rows)}</script>\n'
     if boxes:
         figures = script_json({box.name: box.figure for box in boxes})
-        scripts = _SCRIPTS.substitute(plotly=plotly_script(), figures=figures)
+        scripts += _SCRIPTS.substitute(plotly=plotly_script(), figures=figures)
     return _PAGE.substitute(
         title=html.escape(title),
         lead=html.escape(lead),
         before=before,
         plots="".join(_box(box) for box in boxes),
         after=after,
+        style=style,
         scripts=scripts,
     )
 
@@ -133,12 +151,12 @@ def plotly_script() -> str:
     """Return the plotting library's script, safe inside a script element.
 
     Raises:
-        LogError: if it is not installed.
+        NoPlotsError: if it is not installed.
     """
     try:
         from plotly.offline import get_plotlyjs
     except ImportError as error:
-        raise LogError("plots need plotly: pip install 'companion[report]'") from error
+        raise NoPlotsError("plots need plotly: pip install 'companion[report]'") from error
     return str(get_plotlyjs()).replace("</script", "<\\/script")
 
 
@@ -159,7 +177,8 @@ def write_whole(path: Path, text: str) -> None:
 
 def _box(box: FigureBox) -> str:
     wide = " wide" if box.wide else ""
+    caption = f"<figcaption>{html.escape(box.caption)}</figcaption>" if box.caption else ""
     return (
         f'<figure class="card{wide}" style="margin:0"><h2>{html.escape(box.title)}</h2>'
-        f'<div id="plot-{box.name}"></div><figcaption>{html.escape(box.caption)}</figcaption></figure>'
+        f'<div id="plot-{box.name}"></div>{caption}</figure>'
     )

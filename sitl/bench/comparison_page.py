@@ -4,12 +4,13 @@ import html
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from string import Template
 from typing import Any
 
 import numpy as np
 
+from companion.logs import figure_page
 from companion.logs import report_style as style
+from companion.logs.figure_page import FigureBox, NoPlotsError
 from companion.messages import FloatArray
 from sitl.bench.comparison import Result, Row
 
@@ -27,51 +28,8 @@ _SYMBOLS = ("circle", "square", "diamond", "triangle-up", "cross", "star")
 _POINTS_MAX = 1500
 _FAR = 3.0  # the path from above shows this much around the truth, by its size
 
-_PAGE = Template("""<!doctype html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<meta http-equiv="Content-Security-Policy"
- content="default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:">
-<title>$title</title>
-<style>
-* { box-sizing: border-box; }
-body { margin: 0; background: #f5f7fa; color: #1e293b;
-  font: 15px/1.45 system-ui, -apple-system, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif; }
-main { max-width: 1180px; margin: 0 auto; padding: 22px 16px 60px; }
-h1 { font-size: 22px; margin: 0 0 12px; } h2 { font-size: 14px; margin: 0 0 4px; }
-.card { background: #fff; border: 1px solid #e5e9f0; border-radius: 10px; padding: 14px 16px;
-  margin: 0 0 14px; overflow-x: auto; }
-.grid { display: grid; grid-template-columns: repeat(2, minmax(0, 1fr)); gap: 14px; }
-.grid .card { margin: 0; } .wide { grid-column: 1 / -1; }
-table { border-collapse: collapse; font-variant-numeric: tabular-nums; }
-th, td { padding: 3px 12px 3px 0; text-align: right; white-space: nowrap; }
-th:nth-child(-n+2), td:nth-child(-n+2), td:last-child { text-align: left; }
-thead th { color: #64748b; border-bottom: 1px solid #e5e9f0; }
-tr.first td { border-top: 1px solid #e5e9f0; }
-figcaption, p { color: #64748b; font-size: 13px; margin: 4px 0 0; }
-@media (max-width: 760px) { .grid { grid-template-columns: minmax(0, 1fr); } }
-</style>
-</head>
-<body>
-<main>
-<h1>$title</h1>
-<section class="card">$table<p>$definitions</p>$setups</section>
-<section class="grid">$plots</section>
-</main>
-<script type="application/json" id="rows">$rows</script>
-<script>$plotly</script>
-<script>
-"use strict";
-for (const [name, figure] of Object.entries($figures)) {
-  Plotly.newPlot(document.getElementById("plot-" + name), figure.data, figure.layout,
-    { responsive: true, displaylogo: false, displayModeBar: false });
-}
-</script>
-</body>
-</html>
-""")
+_STYLE = "th:nth-child(-n+2), td:nth-child(-n+2), td:last-child { text-align: left; }\n"
+_LEAD = "The same flights for all, one system beside the other."
 
 _DEFINITIONS = (
     "APE: root mean square distance of the body's path from the truth after the best rigid alignment. Drift: "
@@ -96,11 +54,11 @@ def write(folder: Path, results: Sequence[Result]) -> list[Path]:
     files[0].write_text(json.dumps({"rows": [row.as_dict() for row in rows]}, indent=1) + "\n", "utf-8")
     files[1].write_text(markdown(rows), "utf-8")
     try:
-        from plotly.offline import get_plotlyjs
-    except ImportError:
+        text = page(results)
+    except NoPlotsError:
         return files
     files.append(folder / PAGE)
-    files[2].write_text(page(results, str(get_plotlyjs())), "utf-8")
+    files[2].write_text(text, "utf-8")
     return files
 
 
@@ -113,54 +71,35 @@ def markdown(rows: Sequence[Row]) -> str:
     return "".join(f"| {' | '.join(line)} |\n" for line in lines)
 
 
-def page(results: Sequence[Result], plotly: str) -> str:
+def page(results: Sequence[Result]) -> str:
     """Return the whole page.
 
     Args:
         results: of one run.
-        plotly: the plotting library's script.
+
+    Raises:
+        NoPlotsError: if plotly is not installed.
     """
     rows = [result.row for result in results]
     worlds = list(dict.fromkeys(row.world for row in rows))
-    boxes: list[tuple[str, str, str, dict[str, Any]]] = [
-        (
-            "cost",
-            "Accuracy against processor time",
-            "Nearer to the lower left is better.",
-            _cost(rows, worlds),
-        )
-    ]
+    title, caption = "Accuracy against processor time", "Nearer to the lower left is better."
+    boxes = [FigureBox("cost", title, caption, _cost(rows, worlds), wide=True)]
     for index, world in enumerate(worlds):
         of_world = [result for result in results if result.row.world == world and result.judgement]
         if of_world:
             above = "Aligned with the truth as a whole."
-            boxes.append((f"above{index}", f"{world}: from above", above, _above(of_world)))
+            boxes.append(FigureBox(f"above{index}", f"{world}: from above", above, _above(of_world)))
             later = "Distance from the truth after that alignment."
-            boxes.append((f"error{index}", f"{world}: error over time", later, _error(of_world)))
+            boxes.append(FigureBox(f"error{index}", f"{world}: error over time", later, _error(of_world)))
     setups = dict.fromkeys(f"{row.system}: {row.setup}" for row in rows if row.setup)
-    return _PAGE.substitute(
-        title="Odometry beside its peers",
-        table=_table(rows),
-        definitions=html.escape(_DEFINITIONS),
-        setups="".join(f"<p>{html.escape(setup)}</p>" for setup in setups),
-        plots="".join(_box(*box[:3]) for box in boxes),
-        rows=_script_json([row.as_dict() for row in rows]),
-        figures=_script_json({box[0]: box[3] for box in boxes}),
-        plotly=plotly.replace("</script", "<\\/script"),
-    )
-
-
-def _script_json(value: object) -> str:
-    """Return JSON that is safe inside a script element."""
-    text = json.dumps(value, separators=(",", ":"), allow_nan=False)
-    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
-
-
-def _box(name: str, title: str, caption: str) -> str:
-    wide = " wide" if name == "cost" else ""
-    return (
-        f'<figure class="card{wide}"><h2>{html.escape(title)}</h2><div id="plot-{name}"></div>'
-        f"<figcaption>{html.escape(caption)}</figcaption></figure>"
+    notes = "".join(f'<p class="note">{html.escape(note)}</p>' for note in (_DEFINITIONS, *setups))
+    return figure_page.page(
+        "Odometry beside its peers",
+        _LEAD,
+        boxes,
+        before=f'<section class="card">{_table(rows)}{notes}</section>',
+        style=_STYLE,
+        rows=[row.as_dict() for row in rows],
     )
 
 

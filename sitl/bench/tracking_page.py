@@ -4,8 +4,9 @@ import html
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from string import Template
 
+from companion.logs import figure_page
+from companion.logs.figure_page import FigureBox, NoPlotsError
 from sitl.bench.tracking_plots import case_name, figures
 from sitl.bench.tracking_rows import ALL, TOGETHER, Row
 
@@ -13,57 +14,15 @@ RESULTS = "tracking.json"
 TABLE = "tracking.md"
 PAGE = "tracking.html"
 
-_PAGE = Template("""<!doctype html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<meta http-equiv="Content-Security-Policy"
- content="default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:">
-<title>Neighbours as seen</title>
-<style>
-* { box-sizing: border-box; }
-body { margin: 0; background: #f5f7fa; color: #1e293b;
-  font: 15px/1.45 system-ui, -apple-system, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif; }
-main { max-width: 1440px; margin: 0 auto; padding: 22px 16px 60px; }
-h1 { font-size: 22px; margin: 0 0 12px; } h2 { font-size: 14px; margin: 0 0 4px; }
-.card { background: #fff; border: 1px solid #e5e9f0; border-radius: 10px; padding: 14px 16px;
-  margin: 0 0 14px; overflow-x: auto; }
-.grid { display: grid; grid-template-columns: repeat(2, minmax(0, 1fr)); gap: 14px; }
-.grid .card { margin: 0; }
-table { border-collapse: collapse; font-variant-numeric: tabular-nums; font-size: 12px; }
-th, td { padding: 2px 9px 2px 0; text-align: right; white-space: nowrap; }
-th:first-child, td:first-child { text-align: left; }
-thead th { color: #64748b; border-bottom: 1px solid #e5e9f0; }
-th:first-child, td:first-child { position: sticky; left: 0; background: #fff; }
-tr.first td { border-top: 1px solid #e5e9f0; font-weight: 600; }
-summary { cursor: pointer; font-weight: 600; font-size: 14px; }
-figure { margin: 0; } .note { margin: 8px 2px 14px; }
-p { color: #64748b; font-size: 13px; margin: 6px 0 0; }
-@media (max-width: 760px) { .grid { grid-template-columns: minmax(0, 1fr); } }
-</style>
-</head>
-<body>
-<main>
-<h1>Neighbours as seen</h1>
-<section class="card">$overview</section>
-<section class="grid">$plots</section>
-<p class="note">Thick: all cases that look alike, thin: each case; dashed: what is promised with tape.</p>
-<section class="card"><h2>What the figures mean</h2>$definitions</section>
-<section class="card"><details><summary>All figures by range</summary>$table</details></section>
-</main>
-<script type="application/json" id="rows">$rows</script>
-<script>$plotly</script>
-<script>
-"use strict";
-for (const [name, figure] of Object.entries($figures)) {
-  Plotly.newPlot(document.getElementById("plot-" + name), figure.data, figure.layout,
-    { responsive: true, displaylogo: false, displayModeBar: false });
-}
-</script>
-</body>
-</html>
-""")
+_STYLE = """main { max-width: 1440px; }
+table { font-size: 12px; } th, td { padding: 2px 9px 2px 0; }
+th:first-child, td:first-child { text-align: left; position: sticky; left: 0; background: #fff; }
+tr.first td { font-weight: 600; }
+"""
+_LEAD = (
+    "Other UAVs by our own tracker and odometry. Thick: all cases that look alike, thin: each case; dashed: "
+    "what is promised with tape."
+)
 
 DEFINITIONS = (
     "Our odometry is in the loop; truth only judges.",
@@ -100,11 +59,11 @@ def write(folder: Path, rows: Sequence[Row]) -> list[Path]:
     files[0].write_text(json.dumps({"rows": [row.as_dict() for row in rows]}, indent=1) + "\n", "utf-8")
     files[1].write_text(markdown(rows), "utf-8")
     try:
-        from plotly.offline import get_plotlyjs
-    except ImportError:
+        text = page(rows)
+    except NoPlotsError:
         return files
     files.append(folder / PAGE)
-    files[2].write_text(page(rows, str(get_plotlyjs())), "utf-8")
+    files[2].write_text(text, "utf-8")
     return files
 
 
@@ -145,27 +104,28 @@ def markdown(rows: Sequence[Row]) -> str:
     return "".join(f"| {' | '.join(line)} |\n" for line in lines)
 
 
-def page(rows: Sequence[Row], plotly: str) -> str:
+def page(rows: Sequence[Row]) -> str:
     """Return the whole page.
 
     Args:
         rows: of one run.
-        plotly: the plotting library's script.
+
+    Raises:
+        NoPlotsError: if plotly is not installed.
     """
-    plots = figures(rows)
-    boxes = (
-        f'<figure class="card"><h2>{html.escape(title)}</h2><div id="plot-{name}"></div></figure>'
-        for name, (title, _) in plots.items()
-    )
-    whole = [row for row in rows if row.band_m == ALL]
-    return _PAGE.substitute(
-        overview=_table(sorted(whole, key=lambda row: row.scene != TOGETHER)),
-        table=_table(rows),
-        definitions="".join(f"<p>{html.escape(line)}</p>" for line in DEFINITIONS),
-        plots="".join(boxes),
-        rows=_script_json([row.as_dict() for row in rows]),
-        figures=_script_json({name: figure for name, (_, figure) in plots.items()}),
-        plotly=plotly.replace("</script", "<\\/script"),
+    boxes = [FigureBox(name, title, "", figure) for name, (title, figure) in figures(rows).items()]
+    whole = sorted((row for row in rows if row.band_m == ALL), key=lambda row: row.scene != TOGETHER)
+    meanings = "".join(f'<p class="note">{html.escape(line)}</p>' for line in DEFINITIONS)
+    return figure_page.page(
+        "Neighbours as seen",
+        _LEAD,
+        boxes,
+        before=f'<section class="card">{_table(whole)}</section>',
+        after=f'<section class="card"><h2>What the figures mean</h2>{meanings}</section>'
+        '<section class="card"><details><summary>All figures by range</summary>'
+        f"{_table(rows)}</details></section>",
+        style=_STYLE,
+        rows=[row.as_dict() for row in rows],
     )
 
 
@@ -190,9 +150,3 @@ def _table(rows: Sequence[Row]) -> str:
         cells = "".join(f"<td>{html.escape(cell)}</td>" for cell in shown(row).values())
         body.append(f'<tr class="{"first" if row.band_m == ALL else ""}">{cells}</tr>')
     return f"<table><thead><tr>{head}</tr></thead><tbody>{''.join(body)}</tbody></table>"
-
-
-def _script_json(value: object) -> str:
-    """Return JSON that is safe inside a script element."""
-    text = json.dumps(value, separators=(",", ":"), allow_nan=False)
-    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")

@@ -1,14 +1,13 @@
 """A site from above, as one HTML file that opens without a network."""
 
-import html
-import json
 import math
-from string import Template
 from typing import Any
 
 import numpy as np
 
+from companion.logs import figure_page
 from companion.logs import report_style as style
+from companion.logs.figure_page import FigureBox
 from companion.messages import FloatArray
 from sitl.worlds.course import GOAL_CLEAR_M, SPAWN_CLEAR_M
 from sitl.worlds.primitives import World
@@ -23,58 +22,26 @@ _CUT_CELLS_MAX = 500
 _ARC = 24
 _MARGIN_M = 3.0
 
-_PAGE = Template("""<!doctype html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<meta http-equiv="Content-Security-Policy"
- content="default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:">
-<title>$title</title>
-<style>
-body { margin: 0; background: #f5f7fa; color: #1e293b;
-  font: 15px/1.45 system-ui, -apple-system, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif; }
-main { max-width: 1100px; margin: 0 auto; padding: 22px 16px 40px; }
-h1 { font-size: 22px; margin: 0 0 6px; } p { color: #64748b; font-size: 13px; margin: 4px 0 12px; }
-#plan { background: #fff; border: 1px solid #e5e9f0; border-radius: 10px; height: 80vh; }
-</style>
-</head>
-<body>
-<main>
-<h1>$title</h1>
-<p>$facts</p>
-<div id="plan"></div>
-<p>Outlines from above in full; dark: what stands in the way at a height of $height m. Dotted: kept free.</p>
-</main>
-<script>$plotly</script>
-<script>
-"use strict";
-const figure = $figure;
-Plotly.newPlot(document.getElementById("plan"), figure.data, figure.layout,
-  { responsive: true, displaylogo: false, scrollZoom: true });
-</script>
-</body>
-</html>
-""")
+_HEIGHT_PX = 820
 
 
-def page(site: Site, title: str, facts: str, plotly: str) -> str:
+def page(site: Site, title: str, facts: str) -> str:
     """Return the whole page.
 
     Args:
         site: what to draw.
         title: of the page.
         facts: one line under it.
-        plotly: the plotting library's script.
+
+    Raises:
+        NoPlotsError: if plotly is not installed.
     """
-    text = json.dumps(figure(site), separators=(",", ":"), allow_nan=False)
-    return _PAGE.substitute(
-        title=html.escape(title),
-        facts=html.escape(facts),
-        height=f"{CUT_HEIGHT_M:g}",
-        figure=text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026"),
-        plotly=plotly.replace("</script", "<\\/script"),
+    caption = (
+        f"Outlines from above in full; dark: what stands in the way at a height of {CUT_HEIGHT_M:g} m. "
+        "Dotted: kept free."
     )
+    box = FigureBox("plan", "From above", caption, figure(site), wide=True)
+    return figure_page.page(title, facts, [box])
 
 
 def figure(site: Site) -> dict[str, Any]:
@@ -108,6 +75,7 @@ def figure(site: Site) -> dict[str, Any]:
     return {
         "data": traces,
         "layout": {
+            "height": _HEIGHT_PX,
             "margin": {"l": 45, "r": 10, "t": 10, "b": 40},
             "dragmode": "pan",
             "xaxis": {"title": {"text": "x, m"}, "range": [float(low[0]), float(high[0])], "zeroline": False},

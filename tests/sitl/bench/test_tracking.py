@@ -225,10 +225,11 @@ def test_acquisition_is_measured_from_coming_into_sight() -> None:
     assert row.acquired_s == pytest.approx(0.4)
 
 
-def test_the_table_and_the_page_show_every_row() -> None:
+def test_the_table_and_the_page_show_every_row(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("plotly.offline.get_plotlyjs", lambda: "/* plotly */")
     found = rows(scored(lambda k, p: [track(1, p[0], k)]), "made <up>", 1, windy=True)
     assert len(markdown(found).splitlines()) == 2 + len(found)
-    text = page(found, "/* plotly */")
+    text = page(found)
     assert "made &lt;up&gt;, 1 neighbour, wind" in text
     assert "$" not in text.split("<script>")[0]
 
