@@ -135,7 +135,7 @@ def fly_abstract(
         np.uint64(scene.seed), METHOD_IDS[method], steps, _world(scene), settings.packed_grid(), motion,
         _views(number, settings), _route(scene, course),
         settings.packed(termination, scene.timeout_s, cap_m), settings.packed_quadrotor(), law, sums,
-        concerned, trace, commands, known, rooms,
+        concerned, np.zeros((number, 3)), np.zeros((number, 3)), (trace, commands, known, rooms),
     )  # fmt: skip
     trajectory = None
     if record:

@@ -1,8 +1,8 @@
 """One swarm: what happens in a control step, and a whole trial.
 
-A step has five parts that others, such as a training environment, may put together in their own way:
-`perceive` (what followers are given), `steer` (what they want), `lead` (what the leader wants), `move` and
-`settle` (where everybody is then, and whether it is over).
+A step has two halves, so that something slower than a kernel can change what followers want in between:
+`begin_step` (what followers are given, what the leader does and what their law wants) and `finish_step`
+(whether it is over, and where everybody is then). `fly` does both, again and again.
 """
 
 import math
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from companion.compiled import compiled
 from companion.control.followers.laws_kernels import steer
+from companion.control.followers.layout_kernels import PREVIOUS
 from companion.messages import FloatArray
 from sitl.abstract import layout_kernels as place
 from sitl.abstract.grid_kernels import cull
@@ -44,6 +45,10 @@ ROUTE = (
 )
 """waypoints, holds, legs, ends, clearances, distance, blocked, surface, first, rules, memory, sectors,
 granted: see `lead`."""
+
+TRACE = f"Tuple(({_F3}, {_F3}, uint8[:,:,::1], {_F2}))"
+"""What is kept sample by sample, T is 0 where nobody wants it: states (T, n, 10), velocities asked for, world
+(T, n, 3), who perceives whom (T, n, n), distances to the nearest surface (T, n)."""
 
 
 @compiled(f"void(uint64, int64, {WORLD}, {GRID}, {MOTION}, {VIEWS}, {_F1})")
@@ -116,9 +121,146 @@ def settle(
         )  # fmt: skip
 
 
+@compiled(f"void({WORLD}, {MOTION}, {_F1})")
+def set_off(world: Arrays, motion: Arrays, parameters: FloatArray) -> None:
+    """Make a trial ready for its first step, from the state in `motion`."""
+    discs, candidates, counts = world[2], world[3], world[4]
+    state = motion[3]
+    for i in range(state.shape[0]):
+        counts[i] = cull(discs, state[i, P], state[i, P + 1], parameters[place.CULL_RANGE], candidates[i])
+    settle(0, world, motion, parameters)
+
+
+@compiled(
+    f"void(uint64, int64, int64, {WORLD}, {GRID}, {MOTION}, {VIEWS}, {ROUTE}, {_F1}, {_F1}, {_F1}, {_F2},"
+    f" {_F2})"
+)
+def begin_step(
+    seed: np.uint64,
+    step: int,
+    method: int,
+    world: Arrays,
+    grid: Arrays,
+    motion: Arrays,
+    views: Arrays,
+    route: Arrays,
+    parameters: FloatArray,
+    law: FloatArray,
+    sums: FloatArray,
+    flown: FloatArray,
+    wanted: FloatArray,
+) -> None:
+    """Take a sample, give everybody what it perceives, and ask the leader and the followers' law.
+
+    Args:
+        seed: everything random in the trial comes from here.
+        step: number of the control step.
+        method: number of the followers' law.
+        world: see `WORLD`.
+        grid: see `GRID`.
+        motion: see `MOTION`.
+        views: see `VIEWS`.
+        route: see `ROUTE`.
+        parameters: see `sitl.abstract.layout_kernels`.
+        law: parameters of the law.
+        sums: (7,) see `judging_kernels`; changed in place.
+        flown: (n, 3) out, the velocities that followers' memories held before this step, map.
+        wanted: (n, 3) out, what the followers' law wants, heading frame, m/s; the leader's row is zero.
+    """
+    history, commands, rooms = motion[0], motion[1], motion[7]
+    _, ego, neighbours, ranges, memory, _, _ = views
+    (
+        waypoints, holds, legs, ends, clearances, distance, blocked, surface, first, rules, leader, sectors,
+        granted,
+    ) = route  # fmt: skip
+    dt = parameters[place.CONTROL_STEP]
+    now = step % history.shape[0]
+    add_sample(history[now], rooms, parameters[place.CAP], sums)
+    perceive(seed, step, world, grid, motion, views, parameters)
+    lead(
+        step * dt, dt, history[now, 0], waypoints, holds, legs, ends, clearances, distance, blocked,
+        surface, first, rules, leader, sectors, granted, commands[step % commands.shape[0], 0],
+    )  # fmt: skip
+    for axis in range(3):
+        flown[0, axis] = 0.0
+        wanted[0, axis] = 0.0
+    for i in range(1, ego.shape[0]):
+        for axis in range(3):
+            flown[i, axis] = memory[i, PREVIOUS + axis]
+        steer(method, ego[i], neighbours[i], ranges[i], memory[i], law, wanted[i])
+
+
+@compiled(
+    f"int64(uint64, int64, int64, {WORLD}, {MOTION}, {VIEWS}, {ROUTE}, {_F1}, {_F1}, {_F2}, {_L1}, {TRACE})"
+)
+def finish_step(
+    seed: np.uint64,
+    step: int,
+    most_steps: int,
+    world: Arrays,
+    motion: Arrays,
+    views: Arrays,
+    route: Arrays,
+    parameters: FloatArray,
+    quadrotor: FloatArray,
+    wanted: FloatArray,
+    concerned: NDArray[np.int64],
+    trace: Arrays,
+) -> int:
+    """Judge, and unless it is over fly on to the next step with what followers want.
+
+    Args:
+        seed: everything random in the trial comes from here.
+        step: number of the control step.
+        most_steps: after this step nobody moves any more.
+        world: see `WORLD`.
+        motion: see `MOTION`.
+        views: see `VIEWS`.
+        route: see `ROUTE`.
+        parameters: see `sitl.abstract.layout_kernels`.
+        quadrotor: parameters of `dynamics_kernels.advance`.
+        wanted: (n, 3) velocities that followers want, heading frame, m/s.
+        concerned: (2,) out, who ended it.
+        trace: see `TRACE`.
+
+    Returns:
+        How it ended; `FLYING` if it has not.
+    """
+    history, commands, gusts, state, loop, setpoint, wind, rooms, touching = motion
+    tracks, ego = views[0], views[1]
+    waypoints, leader = route[0], route[10]
+    states, asked, known, room = trace
+    n = state.shape[0]
+    now, before = step % history.shape[0], max(step - 1, 0) % history.shape[0]
+    row = step % commands.shape[0]
+    for i in range(1, n):
+        cosine, sine = math.cos(ego[i, 6]), math.sin(ego[i, 6])
+        commands[row, i, 0] = cosine * wanted[i, 0] - sine * wanted[i, 1]
+        commands[row, i, 1] = sine * wanted[i, 0] + cosine * wanted[i, 1]
+        commands[row, i, 2] = wanted[i, 2]
+    if step < states.shape[0]:
+        for i in range(n):
+            for column in range(10):
+                states[step, i, column] = history[now, i, column]
+            for axis in range(3):
+                asked[step, i, axis] = commands[row, i, axis]
+            for j in range(n):
+                known[step, i, j] = tracks[i, j, IS_KNOWN] > 0.0
+            room[step, i] = rooms[i]
+    end = judge(
+        step * parameters[place.CONTROL_STEP], history[before], history[now], touching,
+        leader_unseen(step, views, parameters), waypoints[waypoints.shape[0] - 1], leader, parameters,
+        concerned,
+    )  # fmt: skip
+    if end == FLYING and step < most_steps:
+        move(seed, step, commands, parameters, quadrotor, gusts, state, loop, setpoint, wind)
+        settle(step + 1, world, motion, parameters)
+    return int(end)
+
+
 @compiled(
     f"Tuple((int64, int64))(uint64, int64, int64, {WORLD}, {GRID}, {MOTION}, {VIEWS}, {ROUTE}, {_F1}, {_F1},"
-    f" {_F1}, {_F1}, {_L1}, {_F3}, {_F3}, uint8[:,:,::1], {_F2})"
+    f" {_F1}, {_F1}, {_L1}, {_F2}, {_F2}, {TRACE})"
 )
 def fly(
     seed: np.uint64,
@@ -134,79 +276,24 @@ def fly(
     law: FloatArray,
     sums: FloatArray,
     concerned: NDArray[np.int64],
-    trace: FloatArray,
-    trace_commands: FloatArray,
-    trace_known: NDArray[np.uint8],
-    trace_rooms: FloatArray,
+    flown: FloatArray,
+    wanted: FloatArray,
+    trace: Arrays,
 ) -> tuple[int, int]:
-    """Fly one trial from the state in `motion` until it ends.
-
-    Args:
-        seed: everything random in it comes from here.
-        method: number of the followers' law.
-        most_steps: the trial ends then in any case.
-        world: see `WORLD`.
-        grid: see `GRID`.
-        motion: see `MOTION`.
-        views: see `VIEWS`.
-        route: see `ROUTE`.
-        parameters: see `sitl.abstract.layout_kernels`.
-        quadrotor: parameters of `dynamics_kernels.advance`.
-        law: parameters of the law.
-        sums: (7,) out, see `judging_kernels`.
-        concerned: (2,) out, who ended it.
-        trace: (T, n, 10) out, states sample by sample; T is 0 where nobody wants them.
-        trace_commands: (T, n, 3) out, velocities asked for, world.
-        trace_known: (T, n, n) out, who perceives whom.
-        trace_rooms: (T, n) out, distances to the nearest surface.
+    """Fly one trial from the state in `motion` until it ends; for the arguments see the two halves of a step.
 
     Returns:
         How it ended, and the last step.
     """
-    candidates, counts = world[3], world[4]
-    history, commands, gusts, state, loop, setpoint, wind, rooms, touching = motion
-    tracks, ego, neighbours, ranges, memory, _, _ = views
-    (
-        waypoints, holds, legs, ends, clearances, distance, blocked, surface, first, rules, leader, sectors,
-        granted,
-    ) = route  # fmt: skip
-    n = state.shape[0]
-    dt = parameters[place.CONTROL_STEP]
-    goal = waypoints[waypoints.shape[0] - 1]
-    wanted = np.zeros(3)
-    for i in range(n):
-        counts[i] = cull(world[2], state[i, P], state[i, P + 1], parameters[place.CULL_RANGE], candidates[i])
-    settle(0, world, motion, parameters)
+    set_off(world, motion, parameters)
     for step in range(most_steps + 1):
-        now, before = step % history.shape[0], max(step - 1, 0) % history.shape[0]
-        add_sample(history[now], rooms, parameters[place.CAP], sums)
-        perceive(seed, step, world, grid, motion, views, parameters)
-        row = step % commands.shape[0]
-        lead(
-            step * dt, dt, history[now, 0], waypoints, holds, legs, ends, clearances, distance, blocked,
-            surface, first, rules, leader, sectors, granted, commands[row, 0],
+        begin_step(
+            seed, step, method, world, grid, motion, views, route, parameters, law, sums, flown, wanted
         )  # fmt: skip
-        for i in range(1, n):
-            steer(method, ego[i], neighbours[i], ranges[i], memory[i], law, wanted)
-            cosine, sine = math.cos(ego[i, 6]), math.sin(ego[i, 6])
-            commands[row, i, 0] = cosine * wanted[0] - sine * wanted[1]
-            commands[row, i, 1] = sine * wanted[0] + cosine * wanted[1]
-            commands[row, i, 2] = wanted[2]
-        if step < trace.shape[0]:
-            for i in range(n):
-                for column in range(10):
-                    trace[step, i, column] = history[now, i, column]
-                for axis in range(3):
-                    trace_commands[step, i, axis] = commands[row, i, axis]
-                for j in range(n):
-                    trace_known[step, i, j] = tracks[i, j, IS_KNOWN] > 0.0
-                trace_rooms[step, i] = rooms[i]
-        end = judge(
-            step * dt, history[before], history[now], touching, leader_unseen(step, views, parameters), goal,
-            leader, parameters, concerned,
+        end = finish_step(
+            seed, step, most_steps, world, motion, views, route, parameters, quadrotor, wanted, concerned,
+            trace,
         )  # fmt: skip
         if end != FLYING or step == most_steps:
             return end, step
-        move(seed, step, commands, parameters, quadrotor, gusts, state, loop, setpoint, wind)
-        settle(step + 1, world, motion, parameters)
     return FLYING, most_steps
