@@ -1,0 +1,1 @@
+"""Learning to follow: the swarm as a vector environment, rewards, imitation, PPO, evaluation and export."""
