@@ -7,7 +7,7 @@ Two clocks exist. `t_ns` is the host's monotonic clock; `t_sensor_ns` is the LiD
 stamps points and IMU samples and is the only time used inside the odometry.
 """
 
-from companion.messages.arrays import ByteArray, FloatArray, PointArray
+from companion.messages.arrays import ByteArray, Float32Array, FloatArray, PointArray
 from companion.messages.decisions import (
     Authorisation,
     FlightState,
@@ -55,6 +55,7 @@ __all__ = [
     "Datagram",
     "ExternalOdometry",
     "FlightState",
+    "Float32Array",
     "FloatArray",
     "ImuSample",
     "LandedState",

@@ -46,6 +46,7 @@ from companion.control.followers.layout_kernels import (
     FLOCK_FLOW_REACH,
     FLOCK_HEED,
     FLOCK_HEIGHT_GAIN,
+    FLOCK_KNOWN,
     FLOCK_LEAD,
     FLOCK_LINK,
     FLOCK_LINK_LENGTH,
@@ -83,6 +84,7 @@ def flock(
     find_columns(ranges, parameters[FLOCK_BAND_BELOW], parameters[FLOCK_BAND_ABOVE], memory, FLOCK_COLUMNS)
     remember_obstacles(ego, memory, parameters)
     known = recall_neighbours(ego, memory, parameters)
+    memory[FLOCK_KNOWN] = known
     _gather(ego, known, memory, parameters, wish)
     _close_gaps(known, memory, parameters, wish)
     _flow_round(memory, parameters, wish)

@@ -105,6 +105,27 @@ def _is_sound(ego: FloatArray, neighbours: FloatArray, ranges: FloatArray) -> bo
 @inlined
 def _finish(ego: FloatArray, memory: FloatArray, parameters: FloatArray, command: FloatArray) -> None:
     """Limit the command's speed and its change, and remember it in the map."""
+    _limit(
+        ego,
+        memory[PREVIOUS],
+        memory[PREVIOUS + 1],
+        memory[PREVIOUS + 2],
+        parameters,
+        command,
+    )
+    _remember(ego, memory, command)
+
+
+@inlined
+def _limit(
+    ego: FloatArray,
+    previous_x: float,
+    previous_y: float,
+    previous_z: float,
+    parameters: FloatArray,
+    command: FloatArray,
+) -> None:
+    """Limit a command's speed, and its change since the previous one, which is given in the map."""
     if not (math.isfinite(command[0]) and math.isfinite(command[1]) and math.isfinite(command[2])):
         command[0] = 0.0
         command[1] = 0.0
@@ -118,9 +139,9 @@ def _finish(ego: FloatArray, memory: FloatArray, parameters: FloatArray, command
         command[1] *= scale
         command[2] *= scale
     cos_yaw, sin_yaw = math.cos(ego[EGO_YAW]), math.sin(ego[EGO_YAW])
-    before_x = cos_yaw * memory[PREVIOUS] + sin_yaw * memory[PREVIOUS + 1]
-    before_y = cos_yaw * memory[PREVIOUS + 1] - sin_yaw * memory[PREVIOUS]
-    before_z = memory[PREVIOUS + 2]
+    before_x = cos_yaw * previous_x + sin_yaw * previous_y
+    before_y = cos_yaw * previous_y - sin_yaw * previous_x
+    before_z = previous_z
     dx, dy, dz = command[0] - before_x, command[1] - before_y, command[2] - before_z
     step = math.sqrt(dx * dx + dy * dy + dz * dz)
     allowed = parameters[MAX_ACCELERATION] * ego[EGO_DT]
@@ -128,7 +149,53 @@ def _finish(ego: FloatArray, memory: FloatArray, parameters: FloatArray, command
         command[0] = before_x + dx * allowed / step
         command[1] = before_y + dy * allowed / step
         command[2] = before_z + dz * allowed / step
+
+
+@inlined
+def _remember(ego: FloatArray, memory: FloatArray, command: FloatArray) -> None:
+    cos_yaw, sin_yaw = math.cos(ego[EGO_YAW]), math.sin(ego[EGO_YAW])
     memory[STARTED] = 1.0
     memory[PREVIOUS] = cos_yaw * command[0] - sin_yaw * command[1]
     memory[PREVIOUS + 1] = sin_yaw * command[0] + cos_yaw * command[1]
     memory[PREVIOUS + 2] = command[2]
+
+
+@compiled("void(float64[::1], float64[::1], float64[::1], float64[::1])")
+def limit_command(
+    ego: FloatArray, previous_map: FloatArray, parameters: FloatArray, command: FloatArray
+) -> None:
+    """Limit a wanted velocity as `steer` limits what its laws want.
+
+    Args:
+        ego: (10,) as for `steer`.
+        previous_map: (3,) the command flown before, in the map, m/s.
+        parameters: (PARAMETER_COUNT,) as for `steer`.
+        command: (3,) in and out: velocity in the heading frame, m/s; reckoned as zero where it is
+            not finite.
+    """
+    _limit(ego, previous_map[0], previous_map[1], previous_map[2], parameters, command)
+
+
+@compiled("void(float64[::1], float64[::1], float64[::1], float64[::1], float64[::1])")
+def overrule(
+    ego: FloatArray,
+    previous_map: FloatArray,
+    memory: FloatArray,
+    parameters: FloatArray,
+    command: FloatArray,
+) -> None:
+    """Fly another velocity than the law has just asked for.
+
+    It is limited against what was flown before this tick, and remembered in place of the law's command: the
+    law goes on from what is really flown.
+
+    Args:
+        ego: (10,) as given to `steer` in this tick.
+        previous_map: (3,) the command flown before this tick, in the map: what `memory` held from `PREVIOUS`
+            on before `steer`.
+        memory: (MEMORY_SIZE,) the law's, after `steer`.
+        parameters: (PARAMETER_COUNT,) as for `steer`.
+        command: (3,) in and out: velocity in the heading frame, m/s.
+    """
+    _limit(ego, previous_map[0], previous_map[1], previous_map[2], parameters, command)
+    _remember(ego, memory, command)

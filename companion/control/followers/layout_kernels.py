@@ -46,8 +46,8 @@ PREVIOUS = 1
 LAW_MEMORY = 8
 
 # `flock` remembers its last wish, neighbours (number plus one, age, position, velocity) and obstacles (time
-# left, position), and has room for one distance in each direction, half-planes (normal, bound), and a view of
-# the neighbours (relative position, own velocity in the plane, trust).
+# left, position), and has room for one distance in each direction, half-planes (normal, bound), a view of
+# the neighbours (relative position, own velocity in the plane, trust), and how many rows of it hold.
 FLOCK_WISH = LAW_MEMORY
 FLOCK_SLOTS = LAW_MEMORY + 2
 FLOCK_SLOT_COUNT = 12
@@ -61,7 +61,8 @@ FLOCK_LIMIT_COUNT = AZIMUTHS + FLOCK_POINT_COUNT + FLOCK_SLOT_COUNT
 FLOCK_LIMIT_SIZE = 3
 FLOCK_VIEW = FLOCK_LIMITS + FLOCK_LIMIT_COUNT * FLOCK_LIMIT_SIZE
 FLOCK_VIEW_SIZE = 6
-FLOCK_MEMORY_SIZE = FLOCK_VIEW + FLOCK_SLOT_COUNT * FLOCK_VIEW_SIZE
+FLOCK_KNOWN = FLOCK_VIEW + FLOCK_SLOT_COUNT * FLOCK_VIEW_SIZE
+FLOCK_MEMORY_SIZE = FLOCK_KNOWN + 1
 
 # `pacnav` remembers paths on a common beat: number plus one, first and last beat, then positions in turn.
 PACNAV_BEAT = LAW_MEMORY
