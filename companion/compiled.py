@@ -3,12 +3,16 @@
 Kernels are declared with `compiled(signature)` and stay uncompiled until `warm_up` (or, in tests and
 tools, their first call). `warm_up` compiles or loads from disk every registered kernel and then
 forbids further compilation, so nothing can be compiled in the air.
+
+The same source runs on a graphics card: `for_cuda` compiles a kernel, and all that it calls, a second time.
 """
 
 from collections.abc import Callable
+from types import FunctionType
 from typing import Any, TypeVar, cast
 
 import numba
+from numba.core.dispatcher import Dispatcher
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
@@ -55,3 +59,41 @@ def warm_up(on_kernel: Callable[[str, int, int], None] | None = None) -> int:
             dispatcher.compile(signature)
         dispatcher.disable_compile()
     return total
+
+
+def for_cuda(function: _Function, *, entry: bool = False) -> _Function:
+    """Return the same source as a function of a graphics card, with all kernels that it calls.
+
+    What was compiled for the processor, or may no longer be, plays no part: every function that the source
+    names is built anew from its own source. On the simulator of CUDA (NUMBA_ENABLE_CUDASIM=1) the result is
+    the plain Python of it all. Only scalar code works there: no allocation, no calls of numpy, no exceptions.
+
+    Args:
+        function: a kernel, or a plain function that calls kernels.
+        entry: whether it is launched from the processor; otherwise other functions of the card call it.
+    """
+    # Drones have no such card, and the import takes time.
+    from numba import config, cuda
+
+    twin = _twin(function)
+    if config.ENABLE_CUDASIM and not entry:
+        return cast(_Function, twin)
+    return cast(_Function, cuda.jit(twin) if entry else cuda.jit(device=True)(twin))
+
+
+_device_functions: dict[FunctionType, Any] = {}
+
+
+def _twin(function: Callable[..., Any]) -> FunctionType:
+    """Return a copy of a function whose names stand for functions of the card."""
+    source = cast(FunctionType, function.py_func if isinstance(function, Dispatcher) else function)
+    names = dict(source.__globals__)
+    for name in source.__code__.co_names:
+        value = names.get(name)
+        if isinstance(value, Dispatcher):
+            if value.py_func not in _device_functions:
+                _device_functions[value.py_func] = for_cuda(value)
+            names[name] = _device_functions[value.py_func]
+    twin = FunctionType(source.__code__, names, source.__name__, source.__defaults__, source.__closure__)
+    twin.__module__, twin.__qualname__ = source.__module__, source.__qualname__
+    return twin

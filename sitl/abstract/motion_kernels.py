@@ -1,7 +1,6 @@
 """How vehicles move in one control step, and what they touch on the way.
 
-Scalar arithmetic only, but for the quadrotor's own step, in the common subset of compilers for processors
-and graphics cards.
+Scalar arithmetic only, in the common subset of compilers for processors and graphics cards.
 """
 
 import math
@@ -13,7 +12,7 @@ from companion.messages import FloatArray
 from sitl.abstract import layout_kernels as place
 from sitl.abstract.grid_kernels import IndexArray
 from sitl.abstract.random_kernels import normal_pair, stream, uniform
-from sitl.dynamics_kernels import P, Q, V, advance
+from sitl.dynamics_kernels import P, Q, V, advance_one
 from sitl.worlds.clearance_kernels import distance_to_primitive
 
 _WIND_STREAM, _LAG_STREAM = 3, 4
@@ -139,7 +138,9 @@ def move(
                 setpoint[i, axis] = (
                     commands[(step - late) % commands.shape[0], i, axis] if step >= late else 0.0
                 )
-        advance(motion, loop, setpoint, motion[:, V : V + 3].copy(), wind, quadrotor)
+            advance_one(
+                i, motion, loop, setpoint, motion[i, V], motion[i, V + 1], motion[i, V + 2], wind, quadrotor
+            )  # fmt: skip
 
 
 @compiled("float64(int32[::1], float64[:,::1], float64[:,::1], int32[::1], int64, float64, float64, float64)")
