@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from sitl.swarm.record import TrialRecord
 
 _LOGS = "logs"
+_SEVERAL = "separated by commas, or the option once for each"
 _COLUMNS = (("MP", 1, 6), ("FR", 2, 7), ("MS", 2, 6), ("AL", 2, 6), ("MDO", 2, 7))
 
 
@@ -33,9 +34,18 @@ def campaign(
     fidelity: Annotated[
         Literal["abstract", "full"] | None, typer.Option(help="Instead of what the file says.")
     ] = None,
-    worlds: Annotated[str | None, typer.Option(help="Only these worlds, separated by commas.")] = None,
-    methods: Annotated[str | None, typer.Option(help="Only these methods, separated by commas.")] = None,
-    followers: Annotated[str | None, typer.Option(help="Only these sizes, separated by commas.")] = None,
+    worlds: Annotated[
+        list[str] | None, typer.Option(metavar="NAME,...", help=f"Only these worlds; {_SEVERAL}.")
+    ] = None,
+    methods: Annotated[
+        list[str] | None, typer.Option(metavar="NAME,...", help=f"Only these methods; {_SEVERAL}.")
+    ] = None,
+    followers: Annotated[
+        list[str] | None, typer.Option(metavar="N,...", help=f"Only these sizes; {_SEVERAL}.")
+    ] = None,
+    perceptions: Annotated[
+        list[str] | None, typer.Option(metavar="NAME,...", help=f"Only these perceptions; {_SEVERAL}.")
+    ] = None,
     out: Annotated[Path, typer.Option(help="Folder of the results; what is in it is kept.")] = Path(
         "runs/campaign"
     ),
@@ -44,7 +54,8 @@ def campaign(
     """Fly many trials of swarms and write the tables.
 
     Every method flies the same scenes, and results do not depend on the number of workers or computers. A run
-    that was stopped goes on where it was when it is started again with the same folder.
+    that was stopped goes on where it was when it is started again with the same folder. A part of a campaign
+    is printed as that part; tables and pages in the folder show everything of the campaign that is there.
     """
     if workers is not None and ray is not None:
         raise typer.BadParameter("--workers and --ray exclude each other: the cluster knows its own size")
@@ -55,7 +66,7 @@ def campaign(
         from sitl.campaign.definition import load_definition
         from sitl.campaign.progress import ProgressLine
         from sitl.campaign.report import write_report
-        from sitl.campaign.runner import run_campaign
+        from sitl.campaign.runner import run_campaign, stored_trials
         from sitl.campaign.tasks import selection_of
         from sitl.campaign.trial_log import write_failed_logs
 
@@ -68,6 +79,7 @@ def campaign(
             worlds=_chosen(worlds, [entry.name for entry in wanted.world_entries], "world"),
             methods=_chosen(methods, [entry.name for entry in wanted.method_entries], "method"),
             followers=_chosen(followers, [str(count) for count in wanted.followers], "number of followers"),
+            perceptions=_chosen(perceptions, [*wanted.perceived()], "perception"),
         )
         # Like Ctrl-C: results and table are left in order.
         signal.signal(signal.SIGTERM, signal.default_int_handler)
@@ -82,12 +94,13 @@ def campaign(
             line.close()
         if conditions.rules.fidelity == "abstract":
             write_failed_logs(out / _LOGS, conditions, records, wanted.failed_logs)
-        files = write_report(out, records, wanted, functools.partial(_log_of, out))
+        stored = stored_trials(out, wanted)
+        files = write_report(out, stored, wanted, functools.partial(_log_of, out))
         rows = [case.as_dict() for case in summarise(records)]
         if not json_output:
             _print_rows(rows)
-            typer.echo("written: " + ", ".join(str(file) for file in files))
-        return {"rows": rows, "files": [str(file) for file in files]}, ExitCode.OK
+            typer.echo(f"written, with all {len(stored)} trials: {', '.join(map(str, files))}")
+        return {"rows": rows, "files": [*map(str, files)], "trials_in_files": len(stored)}, ExitCode.OK
 
     conclude(body, json_output)
 
@@ -141,16 +154,18 @@ def _executor(workers: int | None, ray: str | None) -> "Execute":
     return functools.partial(on_processes, fly_scenes, workers=workers or cores())
 
 
-def _chosen(text: str | None, known: list[str], what: str) -> list[str]:
-    """Return the names in a list separated by commas, in the order of the campaign's file."""
-    if text is None:
+def _chosen(texts: list[str] | None, known: list[str], what: str) -> list[str]:
+    """Return the names in lists separated by commas, in the order of the campaign's file."""
+    if not texts:
         return known
     from companion.errors import ProfileError
 
-    names = [name.strip() for name in text.split(",")]
+    names = [name.strip() for text in texts for name in text.split(",")]
     for name in names:
         if name not in known:
-            raise ProfileError(f"the campaign has no {what} {name!r}; it has {', '.join(known)}")
+            raise ProfileError(
+                f"the campaign has no {what} {name!r}; it has {', '.join(filter(None, known)) or 'none'}"
+            )
     return [name for name in known if name in names]
 
 

@@ -7,6 +7,7 @@ from itertools import combinations
 from typing import Any, get_args
 
 from companion.logs.metrics import success_rate_percent
+from sitl.campaign.conditions import AT
 from sitl.campaign.statistics import Mean, mcnemar_exact, mean_interval, wilson_interval
 from sitl.swarm.record import End, Fidelity, TrialRecord
 
@@ -80,6 +81,9 @@ class CaseSummary:
             "SR_ci95": list(self.SR_ci95),
         }
         row |= {name: _plain(self.metric(name).mean) for name in MEANS}
+        perception = self.method.partition(AT)[2]
+        if perception:
+            row["perception"] = perception
         row["failures"] = dict(self.failures)
         row["successes"] = self.successes
         row |= {f"{name}_sd": _plain(self.metric(name).sd) for name in MEANS}

@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-from collections.abc import Collection, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -12,18 +11,21 @@ from pydantic import Field, ValidationError
 import companion
 import sitl
 from companion.config import Profile, load_profile
-from companion.control.followers.settings import METHODS, FollowerSettings
+from companion.control.followers.settings import FollowerSettings
 from companion.errors import LogError, ProfileError
 from companion.settings import Settings
 from sitl.abstract.settings import AbstractSettings
-from sitl.campaign.definition import CampaignDefinition, MethodEntry, Seeds, WorldEntry
+from sitl.campaign.definition import CampaignDefinition, MethodEntry, Seeds
+from sitl.campaign.own_worlds import FlownWorld, flown_world
 from sitl.swarm.record import Fidelity
 from sitl.swarm.settings import SwarmSettings
-from sitl.wind import GENTLE_GUSTS
-from sitl.worlds.sites import SITE_NAMES
+from sitl.wind import GENTLE_GUSTS, WindSettings
 
 CONDITIONS_NAME = "campaign.json"
-_MAX_BYTES = 16 * 1024**2
+AT = "@"
+"""Between a method and its perception, in no other name."""
+
+_MAX_BYTES = 64 * 1024**2
 
 
 @lru_cache(maxsize=1)
@@ -74,13 +76,15 @@ class Variant(Settings):
     """How many neighbours count."""
     follower: FollowerSettings
     """Its gains."""
+    abstract: AbstractSettings | None = None
+    """How its followers perceive in abstract fidelity, instead of what the rules say."""
 
 
 class Conditions(Settings):
     """Rules, and what the names in the results mean."""
 
     rules: Rules
-    worlds: dict[str, WorldEntry] = Field(max_length=1000)
+    worlds: dict[str, FlownWorld] = Field(max_length=1000)
     """By name."""
     variants: dict[str, Variant] = Field(max_length=10_000)
     """Methods by label."""
@@ -111,46 +115,62 @@ def conditions_of(definition: CampaignDefinition, path: Path) -> Conditions:
         path: of the file, to whose folder the names in it are relative.
 
     Raises:
-        ProfileError: if a profile that it names is wrong, or a site or method is not known.
+        ProfileError: if a profile or a world that it names is wrong, or what it was told since it was read
+            contradicts it.
     """
-    for index, world in enumerate(definition.world_entries):
-        _known(world.site_name, SITE_NAMES, f"{path}: worlds[{index}]", "site")
-    variants = {}
-    for index, entry in enumerate(definition.method_entries):
-        _known(entry.method_name, METHODS, f"{path}: methods[{index}]", "method")
-        follower = _gains(entry, path.parent)
-        for count in definition.observable_neighbours:
-            label = variant_label(entry.name, count, definition.observable_neighbours)
-            variants[label] = Variant(
-                method=entry.method_name, observable_neighbours=count, follower=follower
-            )
+    contradiction = definition.contradiction()
+    if contradiction is not None:
+        (key,), found, allowed = contradiction
+        raise ProfileError(f"{path}: {key}: found {found}, allowed {allowed}")
     full, folder = definition.fidelity == "full", path.parent
-    abstract = AbstractSettings.of(definition.perception)
-    wind = definition.wind or (GENTLE_GUSTS if full else abstract.wind)
-    if definition.wind is not None and not full and abstract.dynamics == "lag":
-        raise ProfileError(
-            f"{path}: wind: vehicles of `perception: paper` do not feel any in abstract fidelity; "
-            "take it away, or fly `perception: measured`"
-        )
+    wind = definition.wind or (GENTLE_GUSTS if full else WindSettings())
+    perceived = {
+        name: settings.model_copy(update={"wind": wind}) for name, settings in definition.perceived().items()
+    }
+    common = AbstractSettings.of(definition.perception).model_copy(update={"wind": wind})
+    variants = {}
+    for entry in definition.method_entries:
+        follower = _gains(entry, folder)
+        for label, count, perception in labels_of(definition, entry):
+            variants[label] = Variant(
+                method=entry.method_name,
+                observable_neighbours=count,
+                follower=follower,
+                abstract=perceived[perception] if perception else None,
+            )
     return Conditions(
         rules=Rules(
             seed=definition.seed,
             seeds=definition.seeds,
             fidelity=definition.fidelity,
             swarm=definition.swarm,
-            abstract=abstract.model_copy(update={"wind": wind}),
+            abstract=common,
             obstacle_distance_cap_m=definition.obstacle_distance_cap_m,
             leader_profile=load_profile(folder / definition.leader_profile) if full else None,
             follower_profile=load_profile(folder / definition.swarm.follower_profile) if full else None,
         ),
-        worlds={world.name: world for world in definition.world_entries},
+        worlds={world.name: flown_world(world, folder) for world in definition.world_entries},
         variants=variants,
     )
 
 
-def variant_label(name: str, neighbours: int, all_neighbours: Sequence[int]) -> str:
-    """Return how a method is called in tables: by its name, and by its neighbours if their number varies."""
-    return name if len(all_neighbours) == 1 else f"{name}_k{neighbours}"
+def labels_of(definition: CampaignDefinition, entry: MethodEntry) -> list[tuple[str, int, str]]:
+    """Return how a method is called in tables: label, number of neighbours, and perception of each variant.
+
+    Number and perception are parts of the label where they vary.
+    """
+    counts, names = definition.observable_neighbours, [*definition.perceived()]
+    return [
+        (
+            entry.name
+            + (f"_k{count}" if len(counts) > 1 else "")
+            + (f"{AT}{name}" if len(names) > 1 else ""),
+            count,
+            name,
+        )
+        for count in counts
+        for name in names
+    ]
 
 
 def kept_conditions(folder: Path) -> Conditions | None:
@@ -201,11 +221,6 @@ def _gains(entry: MethodEntry, folder: Path) -> FollowerSettings:
     if entry.parameters is not None:
         follower = load_profile(folder / entry.parameters).follower or follower
     return follower.model_copy(update={"method": entry.method_name})
-
-
-def _known(name: str, names: Collection[str], at: str, what: str) -> None:
-    if name not in names:
-        raise ProfileError(f"{at}: there is no {what} {name!r}; there are {', '.join(names)}")
 
 
 def _first_difference(at: str, now: Any, before: Any) -> str | None:

@@ -15,6 +15,7 @@ from sitl.campaign.tables_labels import (
     distinct,
     method_title,
     split_neighbours,
+    split_perception,
     world_title,
 )
 
@@ -71,6 +72,16 @@ def figure_boxes(cases: Sequence[CaseSummary], labels: Labels) -> list[FigureBox
                 "Success rate by observable neighbours",
                 caption,
                 success_by_neighbours(cases, labels),
+            )
+        )
+    if any(split_perception(case.method)[1] for case in cases):
+        caption = "With 95 % Wilson intervals."
+        boxes.append(
+            FigureBox(
+                "perceptions",
+                "Success rate by perception",
+                caption,
+                success_by_perception(cases, labels),
             )
         )
     boxes += [
@@ -205,6 +216,31 @@ def success_by_neighbours(cases: Sequence[CaseSummary], labels: Labels) -> Figur
     return {"data": traces, "layout": layout}
 
 
+def success_by_perception(cases: Sequence[CaseSummary], labels: Labels) -> Figure:
+    """Return success rates over the ways of perceiving, a line for every world, method and size."""
+    parts = {case.key: split_perception(case.method) for case in cases}
+    groups = dict.fromkeys(
+        (case.world, parts[case.key][0], case.followers) for case in cases if parts[case.key][1] is not None
+    )
+    sizes = {followers for _, _, followers in groups}
+    traces = []
+    for index, (world, label, followers) in enumerate(groups):
+        at = {
+            parts[case.key][1]: case
+            for case in cases
+            if (case.world, parts[case.key][0], case.followers) == (world, label, followers)
+        }
+        names = [name for name in labels.perceptions if name in at]
+        title = f"{method_title(label)}, {world_title(world)}"
+        if len(sizes) > 1:
+            title += f", {followers} followers"
+        traces.append(_line(title, names, [at[name] for name in names], COLOURS[index % len(COLOURS)]))
+    layout = style.layout(x_title="perception", y_title="success rate, %", height=400)
+    layout["xaxis"] |= {"type": "category", "categoryorder": "array", "categoryarray": [*labels.perceptions]}
+    layout["yaxis"]["range"] = [0, 105]
+    return {"data": traces, "layout": layout}
+
+
 def metric_by_world(cases: Sequence[CaseSummary], metric: str) -> Figure:
     """Return bars of one averaged metric, grouped by world."""
     worlds = distinct([case.world for case in cases])
@@ -310,7 +346,7 @@ def _interval(cases: Sequence[CaseSummary]) -> dict[str, Any]:
     }
 
 
-def _line(name: str, x: Sequence[int], cases: Sequence[CaseSummary], colour: str) -> Figure:
+def _line(name: str, x: Sequence[int] | Sequence[str], cases: Sequence[CaseSummary], colour: str) -> Figure:
     return {
         "type": "scatter",
         "mode": "lines+markers",

@@ -15,8 +15,9 @@ from sitl.campaign.tables import (
     failure_title,
     failures_table,
     paired_table,
+    with_perceptions,
 )
-from sitl.campaign.tables_labels import Labels
+from sitl.campaign.tables_labels import Labels, split_perception
 from sitl.campaign.tables_rendering import Table, html_table, latex, markdown
 from sitl.swarm.record import TrialRecord
 
@@ -46,7 +47,9 @@ def tables_of(records: Sequence[TrialRecord], definition: CampaignDefinition) ->
     tables = [table for table in built if table is not None]
     tables += [cases_table(cases, cap_m), failures_table(cases)]
     pairs = compare_all(records)
-    return [*tables, paired_table(pairs)] if pairs else tables
+    if pairs:
+        tables.append(paired_table(pairs))
+    return [with_perceptions(table) for table in tables]
 
 
 def write_report(
@@ -97,15 +100,17 @@ def _in_order(records: Sequence[TrialRecord], definition: CampaignDefinition) ->
     methods = [entry.name for entry in definition.method_entries]
     known = Labels.of(definition)
 
-    def place(record: TrialRecord) -> tuple[int, str, int, int, str, str, int]:
-        plain = next((name for name in methods if record.method == name), None)
-        plain = plain or next((name for name in methods if record.method.startswith(f"{name}_k")), None)
+    def place(record: TrialRecord) -> tuple[int, str, int, int, str, int, str, int]:
+        label, perception = split_perception(record.method)
+        plain = next((name for name in methods if label == name), None)
+        plain = plain or next((name for name in methods if label.startswith(f"{name}_k")), None)
         return (
             worlds.index(record.world) if record.world in worlds else len(worlds),
             record.world,
             record.followers,
             methods.index(plain) if plain else len(methods),
-            f"{known.method(record.method)} {len(record.method):3d} {record.method}",
+            f"{known.method(record.method)} {len(label):3d} {label}",
+            known.perceptions.index(perception) if perception in known.perceptions else -1,
             record.fidelity,
             record.trial,
         )

@@ -5,9 +5,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from sitl.campaign.conditions import Conditions, claim
+from sitl.campaign.definition import CampaignDefinition
 from sitl.campaign.journal import opened, read_journal
-from sitl.campaign.store import write_trials
-from sitl.campaign.tasks import SceneTask, Selection, pending_tasks
+from sitl.campaign.store import TABLE_NAME, read_trials, write_trials
+from sitl.campaign.tasks import SceneTask, Selection, pending_tasks, selection_of
 from sitl.swarm.record import Fidelity, TrialRecord
 
 Execute = Callable[[Sequence[SceneTask]], Iterator[list[TrialRecord]]]
@@ -75,3 +76,22 @@ def run_campaign(
             # An interrupt may come when a trial is on the disk but not yet counted: the disk decides.
             write_trials(folder, read_journal(folder))
         return [journal[key] for key in selection]
+
+
+def stored_trials(folder: Path, definition: CampaignDefinition) -> list[TrialRecord]:
+    """Return every trial in a folder's table that belongs to a campaign, whichever runs it came from.
+
+    Trials of worlds, methods and sizes that the campaign's file does not name are left out.
+
+    Raises:
+        FileNotFoundError: if nothing has been flown into the folder.
+        LogError: if the table cannot be read.
+    """
+    named = selection_of(definition)
+    return [
+        record
+        for record in read_trials(folder / TABLE_NAME)
+        if record.world in named.worlds
+        and record.method in named.methods
+        and record.followers in named.followers
+    ]

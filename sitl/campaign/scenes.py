@@ -11,6 +11,7 @@ from companion.errors import ProfileError
 from companion.kernel_cache import forget_stale_kernels
 from sitl.campaign.conditions import Rules
 from sitl.campaign.definition import WorldEntry
+from sitl.campaign.own_worlds import settings_of
 from sitl.campaign.tasks import trial_seed
 from sitl.swarm.scene import SwarmScene, set_scene
 from sitl.swarm.settings import SwarmSettings
@@ -22,9 +23,9 @@ def scene_of(rules: Rules, world: WorldEntry, followers: int, trial: int) -> Swa
     Raises:
         ProfileError: if the world has no place for such a swarm or such a way.
     """
-    seed = trial_seed(rules.seed, world.site_name, followers, trial, held_out=rules.seeds == "held_out")
+    seed = trial_seed(rules.seed, world.scenes_name, followers, trial, held_out=rules.seeds == "held_out")
     try:
-        return set_scene(swarm_of(rules, world, followers), world.site_name, seed)
+        return set_scene(swarm_of(rules, world, followers), settings_of(world), seed)
     except ValueError as error:
         raise ProfileError(
             f"world {world.name} with {followers} followers, trial {trial}: no scene can be built: {error}"

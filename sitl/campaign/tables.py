@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 from sitl.campaign import paper_numbers as paper
 from sitl.campaign.cases import FAILURES, CaseSummary, PairedComparison
@@ -9,11 +10,13 @@ from sitl.campaign.paper_numbers import METRICS, Published
 from sitl.campaign.statistics import Mean
 from sitl.campaign.tables_labels import (
     METRIC_TITLES,
+    PERCEIVING,
     Labels,
     distinct,
     method_title,
     source,
     split_neighbours,
+    split_perception,
     world_title,
 )
 from sitl.campaign.tables_rendering import Row, Table
@@ -228,6 +231,49 @@ def real_scenes_table(cases: Sequence[CaseSummary], labels: Labels, cap_m: float
     )
 
 
+def perceptions_table(cases: Sequence[CaseSummary], labels: Labels, cap_m: float) -> Table | None:
+    """Return methods by how they perceive, None if that does not vary."""
+    parts = {case.key: split_perception(case.method) for case in cases}
+    flown = {parts[case.key][1] for case in cases}
+    names = [name for name in labels.perceptions if name in flown]
+    if len(names) < 2:
+        return None
+    chosen = [case for case in cases if parts[case.key][1] in names]
+    at = {(case.world, case.followers, *parts[case.key], case.fidelity): case for case in chosen}
+    groups = dict.fromkeys((case.world, case.followers, parts[case.key][0], case.fidelity) for case in chosen)
+    rows: list[Row] = []
+    for metric in METRICS:
+        for world, followers, label, fidelity in groups:
+            found = [at.get((world, followers, label, name, fidelity)) for name in names]
+            some = next(case for case in found if case is not None)
+            head = (METRIC_TITLES[metric], world_title(world), method_title(label), str(followers))
+            rows.append(Row((*head, source(some), *(cell(case, metric) for case in found))))
+    return Table(
+        name="perceptions",
+        title="By how followers perceive",
+        names=("Metric", "World", "Method", "Followers", "Source"),
+        values=tuple(names),
+        rows=tuple(rows),
+        notes=notes(cap_m, [case.trials for case in chosen]),
+    )
+
+
+def with_perceptions(table: Table) -> Table:
+    """Return a table in which methods and their perceptions are columns of their own, where any has one."""
+    if "Method" not in table.names:
+        return table
+    place = table.names.index("Method")
+    parts = [row.cells[place].partition(PERCEIVING) for row in table.rows]
+    if not any(perception for _, _, perception in parts):
+        return table
+    rows = tuple(
+        Row((*row.cells[:place], method, perception or NONE, *row.cells[place + 1 :]), row.published)
+        for row, (method, _, perception) in zip(table.rows, parts, strict=True)
+    )
+    names = (*table.names[: place + 1], "Perception", *table.names[place + 1 :])
+    return replace(table, names=names, rows=rows)
+
+
 def cases_table(cases: Sequence[CaseSummary], cap_m: float) -> Table:
     """Return every case as a row."""
     rows = [
@@ -335,5 +381,6 @@ BUILDERS: dict[str, Builder] = {
     "scalability": scalability_table,
     "neighbours": neighbours_table,
     "real_scenes": real_scenes_table,
+    "perceptions": perceptions_table,
 }
-"""The paper's tables, by the names that campaigns use."""
+"""The paper's tables and one of its kind, by the names that campaigns use."""

@@ -5,7 +5,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from sitl.campaign.cases import CaseSummary
-from sitl.campaign.definition import CampaignDefinition
+from sitl.campaign.conditions import AT
+from sitl.campaign.definition import LEARNED, CampaignDefinition
 from sitl.campaign.paper_numbers import PROPOSED
 
 WORLD_TITLES = {
@@ -26,6 +27,7 @@ METHOD_TITLES = {
     "vpf_polar": "VPF, polar",
     "reynolds_apf": "Reynolds + APF (DAgger)",
     "lloyd": "Lloyd",
+    "policy": "Learned policy",
     PROPOSED: "Proposed",
 }
 METRIC_TITLES = {
@@ -36,6 +38,9 @@ METRIC_TITLES = {
     "AL": "AL",
     "MDO": "MDO (m)",
 }
+PERCEIVING = " @ "
+"""In print between a method and how it perceives."""
+_PUBLISHED_AS = {LEARNED: PROPOSED}
 _NEIGHBOURS = re.compile(r"^(?P<name>.+)_k(?P<count>\d{1,2})$")
 
 
@@ -47,30 +52,37 @@ class Labels:
         methods: the known method behind a name in the tables.
         worlds: the known site behind a name in the tables, for worlds in which the leader does nothing
             unusual.
+        perceptions: names, in the order of the campaign's file; empty unless there are several.
     """
 
     methods: dict[str, str] = field(default_factory=dict)
     worlds: dict[str, str] = field(default_factory=dict)
+    perceptions: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, definition: CampaignDefinition) -> "Labels":
         """Return the names that a campaign's file gives."""
         swarm = definition.swarm
         unusual = swarm.leader.behaviour != "straight"
+        perceived = definition.perceived()
         return cls(
             methods={entry.name: entry.method_name for entry in definition.method_entries},
             worlds={
-                entry.name: entry.site_name
+                entry.name: site
                 for entry in definition.world_entries
-                if not swarm.waypoints_m
+                if (site := entry.site_name) is not None
+                and not (swarm.waypoints_m or entry.waypoints_world_m)
                 and (entry.behaviour == "straight" or (entry.behaviour is None and not unusual))
             },
+            perceptions=tuple(perceived) if len(perceived) > 1 else (),
         )
 
     def method(self, name: str) -> str:
-        """Return the known method behind a name."""
-        plain, _ = split_neighbours(name)
-        return self.methods.get(name, self.methods.get(plain, plain))
+        """Return the known method behind a name, as the published tables call it."""
+        label, _ = split_perception(name)
+        plain, _ = split_neighbours(label)
+        found = self.methods.get(label, self.methods.get(plain, plain))
+        return _PUBLISHED_AS.get(found, found)
 
     def site(self, name: str) -> str | None:
         """Return the site whose published numbers a world may stand beside, None if there is none."""
@@ -78,9 +90,16 @@ class Labels:
 
 
 def split_neighbours(name: str) -> tuple[str, int | None]:
-    """Return a method's name and how many neighbours it takes into account, where its label says so."""
-    found = _NEIGHBOURS.match(name)
-    return (name, None) if found is None else (found["name"], int(found["count"]))
+    """Return a label without its number of neighbours, and that number where the label says it."""
+    label, at, perception = name.partition(AT)
+    found = _NEIGHBOURS.match(label)
+    return (name, None) if found is None else (found["name"] + at + perception, int(found["count"]))
+
+
+def split_perception(name: str) -> tuple[str, str | None]:
+    """Return a label without its perception, and the perception's name where the label says it."""
+    label, at, perception = name.partition(AT)
+    return label, perception if at else None
 
 
 def world_title(name: str) -> str:
@@ -90,9 +109,12 @@ def world_title(name: str) -> str:
 
 def method_title(name: str) -> str:
     """Return how a method is called in print."""
-    plain, count = split_neighbours(name)
+    label, perception = split_perception(name)
+    plain, count = split_neighbours(label)
     title = METHOD_TITLES.get(plain, plain)
-    return title if count is None else f"{title}, {count} neighbours"
+    if count is not None:
+        title = f"{title}, {count} neighbours"
+    return title if perception is None else f"{title}{PERCEIVING}{perception}"
 
 
 def source(case: CaseSummary) -> str:

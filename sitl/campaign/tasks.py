@@ -4,7 +4,7 @@ import hashlib
 from collections.abc import Container, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
-from sitl.campaign.conditions import Conditions, Rules, Variant, variant_label
+from sitl.campaign.conditions import Conditions, Rules, Variant, labels_of
 from sitl.campaign.definition import CampaignDefinition, WorldEntry
 from sitl.campaign.journal import Key
 from sitl.worlds.seeds import HELD_OUT_FROM, held_out_seed, training_seed
@@ -44,23 +44,25 @@ def selection_of(
     worlds: Sequence[str] | None = None,
     methods: Sequence[str] | None = None,
     followers: Sequence[str] | None = None,
+    perceptions: Sequence[str] | None = None,
 ) -> Selection:
     """Return all that a campaign's file wants, or the named part of it.
 
     Args:
         definition: the file.
         worlds: names of entries; all without.
-        methods: names of entries, each with all its numbers of neighbours; all without.
+        methods: names of entries, each with all its variants; all without.
         followers: sizes; all without.
+        perceptions: names of entries; all without.
     """
-    counts = definition.observable_neighbours
     return Selection(
         worlds=tuple(e.name for e in definition.world_entries if worlds is None or e.name in worlds),
         methods=tuple(
-            variant_label(entry.name, count, counts)
+            label
             for entry in definition.method_entries
             if methods is None or entry.name in methods
-            for count in counts
+            for label, _, perception in labels_of(definition, entry)
+            if perceptions is None or perception in perceptions
         ),
         followers=tuple(n for n in definition.followers if followers is None or str(n) in followers),
         trials=definition.trials,
@@ -86,17 +88,17 @@ class SceneTask:
     variants: tuple[tuple[str, Variant], ...]
 
 
-def trial_seed(campaign_seed: int, site: str, followers: int, trial: int, *, held_out: bool) -> int:
+def trial_seed(campaign_seed: int, scenes: str, followers: int, trial: int, *, held_out: bool) -> int:
     """Return the seed of a trial: it depends on the scene, never on who flies in it nor on which worker.
 
     Args:
         campaign_seed: of the whole campaign.
-        site: name of the site.
+        scenes: name of the site, or of the file with the world.
         followers: size of the swarm without its leader.
         trial: number of the trial, from 0.
         held_out: for testing rather than for tuning and training.
     """
-    text = f"{campaign_seed}\n{site}\n{followers}\n{trial}"
+    text = f"{campaign_seed}\n{scenes}\n{followers}\n{trial}"
     number = int.from_bytes(hashlib.sha256(text.encode()).digest()[:8], "big") % HELD_OUT_FROM
     return held_out_seed(number) if held_out else training_seed(number)
 

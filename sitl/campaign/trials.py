@@ -50,12 +50,13 @@ def fly_one(
         course: the leader's route in this scene, if it is known from another flight.
         record: keep everybody's path as well.
     """
-    neighbours = rules.abstract.neighbours.model_copy(update={"count": variant.observable_neighbours})
+    abstract = variant.abstract or rules.abstract
+    neighbours = abstract.neighbours.model_copy(update={"count": variant.observable_neighbours})
     return fly_abstract(
         scene,
         variant.method,
         variant.follower,
-        rules.abstract.model_copy(update={"neighbours": neighbours}),
+        abstract.model_copy(update={"neighbours": neighbours}),
         termination=rules.swarm.termination,
         cap_m=rules.obstacle_distance_cap_m,
         record=record,

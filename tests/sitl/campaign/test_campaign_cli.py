@@ -104,9 +104,68 @@ def test_a_part_of_a_campaign_can_be_flown(
     ]
 
 
+def test_a_part_flown_later_leaves_tables_of_everything_that_is_there(
+    finished: Finished, definition: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    shutil.copytree(finished.out, out)
+    part = ["--worlds", "pillars_10m", "--methods", "vpf", "--trials", "2", "--workers", "1"]
+    _, result = flown(capsys, "campaign", definition, *part, "--out", out)
+    assert [(row["world"], row["method"], row["trials"]) for row in result["rows"]] == [
+        ("pillars_10m", "vpf", 2)
+    ]
+    assert result["trials_in_files"] == 12
+    for file in (TABLE_NAME, "tables.md", "tables.tex", "tables.html", "index.html"):
+        assert (out / file).read_bytes() == (finished.out / file).read_bytes(), file
+
+
+def test_tables_leave_out_what_the_file_does_not_name(
+    finished: Finished, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, other = tmp_path / "out", tmp_path / "other.yaml"
+    shutil.copytree(finished.out, out)
+    other.write_text(CAMPAIGN.replace("[none, pillars_10m]", "[none]"), encoding="utf-8")
+    _, result = flown(capsys, "campaign", other, "--workers", "1", "--out", out)
+    assert result["trials_in_files"] == 6
+    assert "Pillars" not in (out / "tables.md").read_text("utf-8")
+    assert len(read_trials(out / TABLE_NAME)) == 12
+
+
+@pytest.mark.parametrize(
+    "worlds", [["none,pillars_5m"], ["pillars_5m", "none"], ["none, pillars_5m", "none"]]
+)
+def test_names_are_separated_by_commas_or_told_one_by_one(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], worlds: list[str]
+) -> None:
+    file = tmp_path / "campaign.yaml"
+    file.write_text(
+        "title: T\nworlds: [none, pillars_10m, pillars_5m]\nmethods: [flock, vpf, lloyd]\n"
+        "followers: [2, 3, 1]\ntrials: 1\nperceptions: [{name: a}, {name: b}, {name: c}]\n",
+        encoding="utf-8",
+    )
+    names = [part for world in worlds for part in ("--worlds", world)]
+    names += ["--methods", "flock", "--methods", "vpf", "--followers", "1", "--followers", "2"]
+    names += ["--perceptions", "a,b"]
+    _, result = flown(capsys, "campaign", file, *names, "--workers", 1, "--out", tmp_path / "out")
+    assert [(row["world"], row["followers"], row["method"]) for row in result["rows"]] == [
+        (world, followers, f"{method}@{perception}")
+        for world in ("none", "pillars_5m")
+        for method in ("flock", "vpf")
+        for perception in ("a", "b")
+        for followers in (2, 1)
+    ]
+
+
+def test_help_says_how_to_give_several_names(capsys: pytest.CaptureFixture[str]) -> None:
+    main(["campaign", "--help"])
+    told = " ".join(capsys.readouterr().out.replace("│", " ").split())
+    assert told.count("separated by commas, or the option once for each") == 4
+
+
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
+        (["--perceptions", "dim"], "no perception 'dim'; it has none"),
         (["--worlds", "moon"], "no world 'moon'; it has none, pillars_10m"),
         (["--methods", "flock,boids"], "no method 'boids'; it has flock, vpf"),
         (["--followers", "7"], "no number of followers '7'; it has 2"),

@@ -2,9 +2,11 @@ from pathlib import Path
 
 import pytest
 
+from companion.control.followers.settings import METHODS, FollowerSettings
 from companion.errors import ProfileError
+from sitl.abstract.settings import AbstractSettings
 from sitl.campaign.conditions import conditions_of
-from sitl.campaign.definition import load_definition
+from sitl.campaign.definition import LEARNED, load_definition
 from sitl.campaign.tasks import selection_of
 
 FIELD_CONFIGS = Path(__file__).parents[3] / "field_configs"
@@ -67,8 +69,11 @@ def test_full_fidelity_flies_in_gusts_and_all_weather_that_is_told_is_felt(tmp_p
     assert gusts("fidelity: full\n") == 0.3
     assert gusts("fidelity: full\nwind: {gust_mps: 2.0}\n") == 2.0
     assert gusts("perception: measured\nwind: {gust_mps: 2.0}\n") == 2.0
-    with pytest.raises(ProfileError, match="do not feel any in abstract fidelity"):
+    with pytest.raises(ProfileError, match=r"campaign.yaml:4:1: wind: .* do not feel any in abstract"):
         gusts("wind: {gust_mps: 2.0}\n")
+    windy = load_definition(written(tmp_path, SMALL + "fidelity: full\nwind: {gust_mps: 2.0}\n"))
+    with pytest.raises(ProfileError, match=r"campaign.yaml: wind: .* do not feel any in abstract"):
+        conditions_of(windy.model_copy(update={"fidelity": "abstract"}), tmp_path / "campaign.yaml")
 
 
 def test_numbers_of_neighbours_are_rows_of_their_own_only_where_they_vary(tmp_path: Path) -> None:
@@ -109,19 +114,126 @@ def test_a_wrong_line_is_refused_with_its_place(tmp_path: Path, line: str, told:
     ("text", "told"),
     [
         (
-            "title: A\nworlds: [moon]\nmethods: [flock]\n",
-            r"campaign.yaml: worlds\[0\]: there is no site 'moon'; there are none",
+            "title: A\nworlds:\n  - none\n  - moon\nmethods: [flock]\n",
+            r"campaign.yaml:4:5: worlds\[1\]: found site 'moon', allowed one of none, pillars_10m",
+        ),
+        (
+            "title: A\nworlds: [{name: a, site: moon}]\nmethods: [flock]\n",
+            r"campaign.yaml:2:10: worlds\[0\]: found site 'moon', allowed one of none",
         ),
         (
             "title: A\nworlds: [none]\nmethods: [boids]\n",
-            r"methods\[0\]: there is no method 'boids'; there are",
+            r"campaign.yaml:3:11: methods\[0\]: found method 'boids', allowed one of flock, pacnav",
         ),
         (
-            "title: A\nworlds: [none]\nmethods: [{name: a, method: flock, parameters: lost.yaml}]\n",
-            "lost.yaml:1:1: no such file",
+            "title: A\nworlds: [none]\nmethods:\n  - {name: a, method: flock, parameters: lost.yaml}\n",
+            r"campaign.yaml:4:42: methods\[0\].parameters: found 'lost.yaml', allowed is a file that exists",
+        ),
+        (
+            "title: A\nworlds: [{name: mine, file: lost.yaml}]\nmethods: [flock]\n",
+            r"campaign.yaml:2:29: worlds\[0\].file: found 'lost.yaml', allowed is a file that exists",
+        ),
+        (
+            "title: A\nworlds: [{name: mine, file: a.yaml, mesh: a.ply}]\nmethods: [flock]\n",
+            r"campaign.yaml:2:43: worlds\[0\].mesh: found file and mesh, allowed one of site, file, mesh",
+        ),
+        (
+            "title: A\nworlds: [{name: a, site: 5}]\nmethods: [flock]\n",
+            r"campaign.yaml:2:26: worlds\[0\].site: found 5, allowed is text of 1 to 48 characters",
+        ),
+        (
+            "title: A\nworlds: [none]\nmethods: [5]\n",
+            r"campaign.yaml:3:11: methods\[0\]: found 5, allowed is text",
+        ),
+        (
+            "title: A\nworlds: [{name: indoor_wall, spawn_world_m: [1, 1]}]\nmethods: [flock]\n",
+            r"worlds\[0\].spawn_world_m: found a way in indoor_wall, allowed none",
         ),
     ],
 )
-def test_a_name_that_nothing_has_is_refused(tmp_path: Path, text: str, told: str) -> None:
+def test_a_name_that_nothing_has_is_refused_with_its_place(tmp_path: Path, text: str, told: str) -> None:
     with pytest.raises(ProfileError, match=told):
-        conditions_of(load_definition(written(tmp_path, text)), tmp_path / "campaign.yaml")
+        load_definition(written(tmp_path, text))
+
+
+def test_a_learned_law_needs_to_be_told_where_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(METHODS, LEARNED, FollowerSettings)
+    named = "title: A\nworlds: [none]\nmethods: [{name: mine, method: policy%s}]\n"
+    with pytest.raises(ProfileError, match=r":3:11: methods\[0\]: found no parameters, allowed a profile"):
+        load_definition(written(tmp_path, named % ""))
+    (tmp_path / "learned.yaml").write_text("", encoding="utf-8")
+    definition = load_definition(written(tmp_path, named % ", parameters: learned.yaml"))
+    assert selection_of(definition).methods == ("mine",)
+
+
+class TestPerceptions:
+    def test_one_needs_no_name(self, tmp_path: Path) -> None:
+        path = written(tmp_path, SMALL + "perception: measured\n")
+        conditions = conditions_of(load_definition(path), path)
+        assert conditions.rules.abstract == AbstractSettings.of("measured")
+        assert set(conditions.variants) == {"flock"}
+
+    def test_each_is_a_row_of_its_own_that_starts_from_a_preset(self, tmp_path: Path) -> None:
+        text = (
+            "perceptions:\n"
+            "  - {name: published}\n"
+            "  - {name: late, settings: {neighbour_delay_s: 0.4}, compensate_latency: false}\n"
+            "  - {name: noisy, preset: measured, sigma_factor: 2}\n"
+        )
+        path = written(tmp_path, SMALL + "observable_neighbours: [3, 6]\n" + text)
+        definition = load_definition(path)
+        variants = conditions_of(definition, path).variants
+        assert selection_of(definition).methods == tuple(variants) == (
+            "flock_k3@published", "flock_k3@late", "flock_k3@noisy",
+            "flock_k6@published", "flock_k6@late", "flock_k6@noisy",
+        )  # fmt: skip
+        published, late, noisy = (
+            variants[f"flock_k3@{name}"].abstract for name in ("published", "late", "noisy")
+        )
+        assert published == AbstractSettings.of("paper")
+        assert late is not None
+        assert late.perception == AbstractSettings.of("paper").perception.model_copy(
+            update={"neighbour_delay_s": 0.4}
+        )
+        assert not late.neighbours.compensate_latency
+        measured = AbstractSettings.of("measured")
+        assert noisy is not None
+        assert noisy.dynamics == measured.dynamics
+        assert noisy.perception.position_sigma_per_m == 2.0 * measured.perception.position_sigma_per_m
+        assert noisy.perception.velocity_sigma_mps == 2.0 * measured.perception.velocity_sigma_mps
+        assert noisy.perception.neighbour_delay_s == measured.perception.neighbour_delay_s
+
+    def test_a_part_of_them_can_be_flown(self, tmp_path: Path) -> None:
+        text = "perceptions: [{name: a}, {name: b, sigma_factor: 2}]\n"
+        definition = load_definition(written(tmp_path, SMALL + text))
+        assert selection_of(definition, perceptions=["b"]).methods == ("flock@b",)
+
+    @pytest.mark.parametrize(
+        ("text", "told"),
+        [
+            ("perceptions: [{name: a}, {name: a}]", r":4:26: perceptions\[1\]: found 'a' twice"),
+            (
+                "perceptions: [{name: a, settings: {delay_s: 1}}]",
+                r"perceptions\[0\].settings.delay_s: unknown key, ",
+            ),
+            (
+                "perceptions: [{name: a, preset: measured, settings: {dropout: 0.9}}]",
+                r":4:43: perceptions\[0\].settings: found a contradiction with preset measured, "
+                "allowed dropout and dropout_far together",
+            ),
+            (
+                "perceptions: [{name: a, preset: measured, sigma_factor: 20,"
+                " settings: {velocity_sigma_mps: 0.5}}]",
+                r":4:\d+: perceptions\[0\].settings.velocity_sigma_mps: found 10.0, allowed",
+            ),
+            ("perceptions: [{name: a}]\nperception: paper", "perception: found both perception and percept"),
+            ("perceptions: [{name: a}]\nfidelity: full", "perceptions: found perceptions in full fidelity"),
+            (
+                "perceptions: [{name: a}]\nwind: {gust_mps: 1}",
+                "wind: found weather, allowed it with measured",
+            ),
+        ],
+    )
+    def test_what_cannot_be_is_refused_with_its_place(self, tmp_path: Path, text: str, told: str) -> None:
+        with pytest.raises(ProfileError, match=told):
+            load_definition(written(tmp_path, f"{SMALL}{text}\n"))

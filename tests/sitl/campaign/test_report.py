@@ -111,6 +111,18 @@ def test_sizes_and_neighbours_are_drawn_where_they_vary() -> None:
     assert figure_boxes([], Labels()) == []
 
 
+def test_perceptions_are_drawn_in_the_order_of_the_file() -> None:
+    definition = CampaignDefinition.model_validate_json(
+        '{"title": "T", "worlds": ["none"], "methods": ["flock"], '
+        '"perceptions": [{"name": "late"}, {"name": "early"}]}'
+    )
+    cases = summarise(campaign(("none",), ("flock@early", "flock@late"), trials=4))
+    boxes = {box.name: box.figure for box in figure_boxes(cases, Labels.of(definition))}
+    [line] = boxes["perceptions"]["data"]
+    assert (line["x"], line["y"]) == (["late", "early"], [100.0, 100.0])
+    assert boxes["perceptions"]["layout"]["xaxis"]["categoryarray"] == ["late", "early"]
+
+
 def test_the_stack_of_ends_adds_up_to_all_trials() -> None:
     cases = summarise(campaign())
     stacks = ends(cases)["data"]

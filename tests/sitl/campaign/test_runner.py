@@ -39,7 +39,7 @@ def pretend(task: SceneTask) -> list[TrialRecord]:
             method=label,
             followers=task.followers,
             trial=trial,
-            seed=trial_seed(task.rules.seed, task.world.site_name, task.followers, trial, held_out=True),
+            seed=trial_seed(task.rules.seed, task.world.scenes_name, task.followers, trial, held_out=True),
             flock_radius_m=trial / 7.0 + len(label),
         )
         for trial in task.trials
@@ -187,8 +187,8 @@ def test_conditions_that_cannot_be_read_are_refused(tmp_path: Path) -> None:
 
 def test_methods_share_scenes_and_nothing_else_does() -> None:
     seeds = {
-        (task.world.site_name, task.followers, trial): trial_seed(
-            1, task.world.site_name, task.followers, trial, held_out=True
+        (task.world.scenes_name, task.followers, trial): trial_seed(
+            1, task.world.scenes_name, task.followers, trial, held_out=True
         )
         for task in pending_tasks(CONDITIONS, WANTED, (), 4)
         for trial in task.trials

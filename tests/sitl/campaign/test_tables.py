@@ -1,17 +1,21 @@
 import pytest
 
+from companion.control.followers.settings import METHODS as KNOWN
+from companion.control.followers.settings import FollowerSettings
 from sitl.campaign.cases import compare_all, summarise
-from sitl.campaign.definition import CampaignDefinition
+from sitl.campaign.definition import LEARNED, CampaignDefinition
+from sitl.campaign.report import tables_of
 from sitl.campaign.tables import (
     cases_table,
     comparison_table,
     failures_table,
     neighbours_table,
     paired_table,
+    perceptions_table,
     real_scenes_table,
     scalability_table,
 )
-from sitl.campaign.tables_labels import Labels, split_neighbours
+from sitl.campaign.tables_labels import Labels, split_neighbours, split_perception
 from sitl.campaign.tables_rendering import Row, Table, html_table, latex, markdown
 from sitl.swarm.record import TrialRecord
 from tests.sitl.campaign.made_up_trials import campaign, trial
@@ -25,7 +29,7 @@ def labels_of(records: list[TrialRecord]) -> Labels:
         CampaignDefinition(
             title="T",
             worlds=list(dict.fromkeys(record.world for record in records)),
-            methods=list(dict.fromkeys(record.method for record in records)),
+            methods=list(dict.fromkeys(split_neighbours(record.method)[0] for record in records)),
         )
     )
 
@@ -154,6 +158,66 @@ def test_pairs_show_who_won_alone() -> None:
 )
 def test_the_number_of_neighbours_is_read_from_a_label(label: str, expected: tuple[str, int | None]) -> None:
     assert split_neighbours(label) == expected
+
+
+@pytest.mark.parametrize(
+    ("label", "expected"),
+    [
+        ("flock_k3@late", ("flock_k3", "late")),
+        ("flock@x_k3", ("flock", "x_k3")),
+        ("flock_k3", ("flock_k3", None)),
+    ],
+)
+def test_the_perception_is_read_from_a_label(label: str, expected: tuple[str, str | None]) -> None:
+    assert split_perception(label) == expected
+
+
+class TestPerceptions:
+    definition = CampaignDefinition.model_validate_json(
+        '{"title": "T", "worlds": ["pillars_5m"], "methods": ["pacnav", "flock"], '
+        '"perceptions": [{"name": "late_k3"}, {"name": "early"}]}'
+    )
+    labels = Labels.of(definition)
+    records = campaign(
+        ("pillars_5m",), ("flock@early", "flock@late_k3", "pacnav@early", "pacnav@late_k3"), trials=4
+    )
+
+    def test_they_are_the_columns_of_a_table_in_the_order_of_the_file(self) -> None:
+        table = found(perceptions_table(summarise(self.records), self.labels, 4.0))
+        assert table.values == ("late_k3", "early")
+        late, early = row_of(table, "SR (%)", "Pillars, 5 m gap", "flock", "4", "ours, abstract")
+        assert late == "100.0 [51.0, 100.0]" or early != late
+        assert len(table.rows) == 6 * 2
+        assert perceptions_table(summarise(campaign()), self.labels, 4.0) is None
+
+    def test_they_are_a_column_of_every_other_table(self) -> None:
+        tables = {table.name: table for table in tables_of(self.records, self.definition)}
+        assert [*tables] == ["comparison", "perceptions", "cases", "failures", "paired"]
+        for name in ("comparison", "cases", "failures"):
+            assert "Perception" in tables[name].names
+        heads = {row.cells[1:4] for row in tables["comparison"].rows}
+        assert heads >= {("PACNav", "–", "paper"), ("PACNav", "late_k3", "ours, abstract")}
+        assert row_of(tables["cases"], "Pillars, 5 m gap", "flock", "early")[:3] == ["4", "abstract", "4"]
+
+    def test_without_any_there_is_no_such_column(self) -> None:
+        tables = tables_of(campaign(), CampaignDefinition(title="T", worlds=["none"], methods=["flock"]))
+        assert not any("Perception" in table.names for table in tables)
+
+    def test_a_row_for_machines_names_them(self) -> None:
+        rows = [case.as_dict() for case in summarise(self.records)]
+        assert {row["perception"] for row in rows} == {"early", "late_k3"}
+        assert "perception" not in summarise(campaign())[0].as_dict()
+
+
+def test_a_learned_law_stands_beside_the_papers_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(KNOWN, LEARNED, FollowerSettings)
+    definition = CampaignDefinition.model_validate_json(
+        '{"title": "T", "worlds": ["none"], "followers": [4], '
+        '"methods": [{"name": "mine", "method": "policy", "parameters": "mine.yaml"}]}'
+    )
+    records = campaign(("none",), ("mine",), trials=4)
+    table = found(comparison_table(summarise(records), Labels.of(definition), 4.0))
+    assert [row.cells[1:3] for row in table.rows[:2]] == [("Proposed", "paper"), ("mine", "ours, abstract")]
 
 
 class TestRendering:
