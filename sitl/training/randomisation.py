@@ -69,9 +69,7 @@ class RandomisationSettings(Settings):
             raise misfit(("neighbour_delay_s",), "delays over 0.4 s together", "at most 0.4 s")
         return self
 
-    def vary(
-        self, rng: Generator, parameters: FloatArray, quadrotor: FloatArray, limits: FloatArray
-    ) -> None:
+    def vary(self, rng: Generator, parameters: FloatArray, quadrotor: FloatArray, limits: FloatArray) -> None:
         """Draw one trial's conditions; always takes equally many numbers from the generator.
 
         Args:

@@ -1,0 +1,364 @@
+"""One control step of many swarms of one size: the same functions that fly trials, over batched arrays.
+
+Every array of a batch begins with an axis over swarms, so that the same code serves a thread of a processor
+and one of a graphics card. Streams, the rows of what is shown and rewarded, number the followers of all swarms.
+"""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from companion.compiled import compiled, inlined
+from companion.control.followers.laws_kernels import overrule, steer
+from companion.control.followers.layout_kernels import METHOD_IDS, PREVIOUS
+from companion.control.observation_kernels import describe
+from companion.messages import Float32Array, FloatArray
+from sitl.abstract import layout_kernels as place
+from sitl.abstract.grid_kernels import cull
+from sitl.abstract.judging_kernels import (
+    ALTITUDE,
+    FLYING,
+    LEADER_FOLLOWER,
+    LEADER_LOST,
+    OBSTACLE_HIT,
+    SCATTERED,
+    TIMEOUT,
+    UAV_UAV,
+    add_sample,
+    judge,
+)
+from sitl.abstract.leader_kernels import FINISHED, PHASE
+from sitl.abstract.motion_kernels import move
+from sitl.abstract.perception_kernels import IS_KNOWN
+from sitl.abstract.sight_kernels import up_of, yaw_of
+from sitl.abstract.swarm_kernels import leader_unseen, perceive, settle
+from sitl.dynamics_kernels import P, Q, V
+from sitl.training import batch_layout_kernels as at
+from sitl.training import reward_layout_kernels as term
+from sitl.training.privileged_kernels import disclose
+from sitl.training.reward_kernels import reward_terms
+
+Arrays = tuple[Any, ...]
+
+_FLOCK = METHOD_IDS["flock"]
+_LARGEST_DIFFERENCE = 16.0
+
+
+@inlined
+def _world(s: int, bank: Arrays, swarm: Arrays) -> Arrays:
+    kinds, rows, discs, _ = bank
+    _, places, _, _, _, _, candidates, counts = swarm
+    low, high = places[s, at.FIRST_PRIMITIVE], places[s, at.END_PRIMITIVE]
+    return kinds[low:high], rows[low:high], discs[low:high], candidates[s], counts[s]
+
+
+@inlined
+def _motion(s: int, motion: Arrays) -> Arrays:
+    history, commands, gusts, state, loop, setpoint, wind, rooms, touching = motion
+    return (
+        history[s], commands[s], gusts[s], state[s], loop[s], setpoint[s], wind[s], rooms[s], touching[s],
+    )  # fmt: skip
+
+
+@inlined
+def _views(s: int, views: Arrays) -> Arrays:
+    tracks, ego, neighbours, ranges, memory, roles, up = views
+    return tracks[s], ego[s], neighbours[s], ranges[s], memory[s], roles[s], up[s]
+
+
+@inlined
+def _grid(s: int, limits: FloatArray, rays: Arrays) -> Arrays:
+    azimuth_rays, elevation_rays, column_edges, row_edges, _ = rays
+    return limits[s], azimuth_rays, elevation_rays, column_edges, row_edges
+
+
+@inlined
+def _keep_snapshot(s: int, step: int, motion: Arrays, views: Arrays, snapshots: Arrays) -> None:
+    """Keep what a trial could begin from, before anything is perceived in this step."""
+    steps = snapshots[0]
+    slot = (step // at.SNAPSHOT_STEPS) % steps.shape[1]
+    steps[s, slot] = step
+    _copy(motion[0][s], snapshots[1][s, slot])
+    _copy(motion[1][s], snapshots[2][s, slot])
+    _copy(motion[2][s], snapshots[3][s, slot])
+    _copy(motion[3][s], snapshots[4][s, slot])
+    _copy(motion[4][s], snapshots[5][s, slot])
+    _copy(views[0][s], snapshots[6][s, slot])
+    _copy(views[1][s], snapshots[7][s, slot])
+    _copy(views[4][s], snapshots[8][s, slot])
+
+
+@inlined
+def _copy(source: FloatArray, target: FloatArray) -> None:
+    from_, to = source.ravel(), target.ravel()
+    for index in range(from_.shape[0]):
+        to[index] = from_[index]
+
+
+@inlined
+def _observe(
+    s: int, contract: int, bank: Arrays, rays: Arrays, law: FloatArray, swarm: Arrays, motion: Arrays,
+    views: Arrays, acts: Arrays, shown: Arrays, snapshots: Arrays,
+) -> None:  # fmt: skip
+    """Give every follower of a swarm what it perceives, ask its law, and write its observation."""
+    seeds, places, parameters, _, limits, _, _, _ = swarm
+    flown, wanted = acts[0], acts[1]
+    ego_out, neighbours_out, grid_out, memory_out, privileged, reference = shown
+    step, first = places[s, at.STEP], places[s, at.FIRST_STREAM]
+    if step % at.SNAPSHOT_STEPS == 0:
+        _keep_snapshot(s, step, motion, views, snapshots)
+    world, own = _world(s, bank, swarm), _views(s, views)
+    moving = _motion(s, motion)
+    perceive(seeds[s], step, world, _grid(s, limits, rays), moving, own, parameters[s])
+    ego, neighbours, ranges, memory, up = own[1], own[2], own[3], own[4], own[6]
+    states = motion[0][s, step % motion[0].shape[1]]
+    rooms = motion[7][s]
+    dt = parameters[s, place.CONTROL_STEP]
+    left = (places[s, at.LAST_STEP] - step) * dt
+    for i in range(1, ego.shape[0]):
+        k = first + i - 1
+        for axis in range(3):
+            flown[s, i, axis] = memory[i, PREVIOUS + axis]
+        steer(_FLOCK, ego[i], neighbours[i], ranges[i], memory[i], law, wanted[s, i])
+        # The attitude is known at once, as the heading is.
+        yaw = yaw_of(states[i, 6:10])
+        ux, uy, uz = up_of(states[i, 6:10])
+        cosine, sine = math.cos(yaw), math.sin(yaw)
+        up[0], up[1], up[2] = cosine * ux + sine * uy, cosine * uy - sine * ux, uz
+        cosine, sine = math.cos(ego[i, 6]), math.sin(ego[i, 6])
+        previous = acts[2][s, i]
+        previous[0] = cosine * flown[s, i, 0] + sine * flown[s, i, 1]
+        previous[1] = cosine * flown[s, i, 1] - sine * flown[s, i, 0]
+        previous[2] = flown[s, i, 2]
+        describe(
+            contract, ego[i], up, neighbours[i], ranges[i], memory[i], law, wanted[s, i], previous,
+            ego_out[k], neighbours_out[k], grid_out[k], memory_out[k],
+        )  # fmt: skip
+        disclose(
+            i, states, rooms[i], parameters[s, place.GROUND], left, world[0], world[1], world[2],
+            world[3][i], world[4][i], privileged[k],
+        )  # fmt: skip
+        for axis in range(3):
+            reference[k, axis] = wanted[s, i, axis]
+
+
+@compiled(
+    f"void(int64[::1], int64, {at.BANK}, {at.RAYS}, float64[::1], {at.SWARM}, {at.MOTION}, {at.VIEWS},"
+    f" {at.ACTS}, {at.SHOWN}, {at.SNAPSHOTS})"
+)
+def begin_swarms(
+    which: np.ndarray[tuple[int], np.dtype[np.int64]],
+    contract: int,
+    bank: Arrays,
+    rays: Arrays,
+    law: FloatArray,
+    swarm: Arrays,
+    motion: Arrays,
+    views: Arrays,
+    acts: Arrays,
+    shown: Arrays,
+    snapshots: Arrays,
+) -> None:
+    """Show the first observation of swarms whose state has just been set; see `batch_layout_kernels`.
+
+    Args:
+        which: numbers of these swarms.
+        contract: number of the observations' contract.
+        bank: obstacles and leaders' flights of all scenes.
+        rays: tables of the grid.
+        law: parameters of `flock`.
+        swarm: what holds for each swarm.
+        motion: how its vehicles move.
+        views: what they perceive.
+        acts: what they do and earn.
+        shown: what policies and critics see.
+        snapshots: of the recent past.
+    """
+    parameters, candidates, counts = swarm[2], swarm[6], swarm[7]
+    for index in range(which.shape[0]):
+        s = which[index]
+        world, moving = _world(s, bank, swarm), _motion(s, motion)
+        state = motion[3][s]
+        for i in range(state.shape[0]):
+            counts[s, i] = cull(
+                world[2], state[i, P], state[i, P + 1], parameters[s, place.CULL_RANGE], candidates[s, i]
+            )
+        settle(swarm[1][s, at.STEP], world, moving, parameters[s])
+        add_sample(
+            motion[0][s, swarm[1][s, at.STEP] % motion[0].shape[1]], motion[7][s],
+            parameters[s, place.CAP], acts[3][s],
+        )  # fmt: skip
+        _observe(s, contract, bank, rays, law, swarm, motion, views, acts, shown, snapshots)
+
+
+@inlined
+def _fly_on(
+    s: int, velocity: Float32Array, bank: Arrays, law: FloatArray, swarm: Arrays, motion: Arrays,
+    views: Arrays, acts: Arrays,
+) -> None:  # fmt: skip
+    """Give commands, and move a swarm on by one control step; its leader flies as it is known to."""
+    seeds, places, parameters, quadrotor, _, _, _, _ = swarm
+    history, commands, gusts, state, loop, setpoint, wind, _, _ = motion
+    ego, memory = views[1][s], views[4][s]
+    flown, wanted = acts[0], acts[1]
+    step, first = places[s, at.STEP], places[s, at.FIRST_STREAM]
+    row = step % commands.shape[1]
+    flights = bank[3]
+    leader = flights[min(places[s, at.FIRST_FLIGHT] + step + 1, places[s, at.END_FLIGHT] - 1)]
+    for axis in range(3):
+        commands[s, row, 0, axis] = leader[3 + axis]
+    asked, earned = acts[2], acts[6][s]
+    for i in range(1, ego.shape[0]):
+        off = 0.0
+        for axis in range(3):
+            asked[s, i, axis] = velocity[first + i - 1, axis]
+            off += (asked[s, i, axis] - wanted[s, i, axis]) ** 2
+        overrule(ego[i], flown[s, i], memory[i], law, asked[s, i])
+        changed = 0.0
+        for axis in range(3):
+            changed += (memory[i, PREVIOUS + axis] - flown[s, i, axis]) ** 2
+            commands[s, row, i, axis] = memory[i, PREVIOUS + axis]
+        earned[i, term.SMOOTHNESS] = -changed
+        # What is not a number counts as far off, too.
+        earned[i, term.RESIDUAL] = -off if off < _LARGEST_DIFFERENCE else -_LARGEST_DIFFERENCE
+    move(
+        seeds[s], step, commands[s], parameters[s], quadrotor[s], gusts[s], state[s], loop[s], setpoint[s],
+        wind[s],
+    )  # fmt: skip
+    for axis in range(3):
+        state[s, 0, P + axis] = leader[axis]
+        state[s, 0, V + axis] = leader[3 + axis]
+    for part in range(4):
+        state[s, 0, Q + part] = leader[6 + part]
+    places[s, at.STEP] = step + 1
+
+
+@inlined
+def _judge(s: int, swarm: Arrays, motion: Arrays, views: Arrays, acts: Arrays) -> int:
+    """Return how a swarm's trial ends now, `FLYING` if it goes on."""
+    _, places, parameters, _, _, goals, _, _ = swarm
+    history, touching, concerned, leader = motion[0][s], motion[8][s], acts[4][s], acts[5][s]
+    step = places[s, at.STEP]
+    dt = parameters[s, place.CONTROL_STEP]
+    now, before = step % history.shape[0], max(step - 1, 0) % history.shape[0]
+    known = places[s, at.END_FLIGHT] - places[s, at.FIRST_FLIGHT] - 1
+    leader[PHASE] = float(FINISHED) if step >= known else -1.0
+    unseen = leader_unseen(step, _views(s, views), parameters[s])
+    end = judge(
+        step * dt, history[before], history[now], touching, unseen, goals[s], leader, parameters[s],
+        concerned,
+    )  # fmt: skip
+    if end != FLYING:
+        return int(end)
+    states, farthest = history[now], parameters[s, at.STRAYED]
+    for i in range(1, states.shape[0]):
+        square = 0.0
+        for axis in range(3):
+            square += (states[i, axis] - states[0, axis]) ** 2
+        if not square <= farthest * farthest:
+            concerned[0] = i
+            return SCATTERED
+    if step >= places[s, at.LAST_STEP]:
+        concerned[0] = 0
+        return TIMEOUT
+    return FLYING
+
+
+@inlined
+def _pay(
+    s: int, end: int, rays: Arrays, numbers: FloatArray, weights: FloatArray, swarm: Arrays, motion: Arrays,
+    views: Arrays, acts: Arrays, paid: Arrays,
+) -> None:  # fmt: skip
+    """Write what the followers of a swarm have earned in this step, and whose life is over."""
+    places, parameters = swarm[1], swarm[2]
+    tracks, ranges = views[0][s], views[3][s]
+    concerned, earned, sums, totals = acts[4][s], acts[6][s], acts[7][s], acts[8][s]
+    terms_out, reward, terminated, truncated = paid
+    states, rooms = motion[0][s, places[s, at.STEP] % motion[0].shape[1]], motion[7][s]
+    for i in range(1, states.shape[0]):
+        perceived = 0
+        for j in range(states.shape[0]):
+            if j != i and tracks[i, j, IS_KNOWN] > 0.0:
+                perceived += 1
+        reward_terms(
+            i, states, rooms[i], parameters[s, place.GROUND], perceived, ranges[i], rays[4], numbers, earned[i]
+        )  # fmt: skip
+        is_concerned = concerned[0] == i or concerned[1] == i
+        crashed = is_concerned and (end == UAV_UAV or end == LEADER_FOLLOWER or end == OBSTACLE_HIT)
+        lost = end == LEADER_LOST or (is_concerned and end == ALTITUDE)
+        if end == SCATTERED:
+            square = 0.0
+            for axis in range(3):
+                square += (states[i, axis] - states[0, axis]) ** 2
+            farthest = parameters[s, place.GATHERED if acts[5][s, PHASE] == FINISHED else at.STRAYED]
+            lost = is_concerned or not square <= farthest * farthest
+        earned[i, term.COLLISION] = -1.0 if crashed else 0.0
+        earned[i, term.LOSS] = -1.0 if lost else 0.0
+        k = places[s, at.FIRST_STREAM] + i - 1
+        total = 0.0
+        for index in range(earned.shape[1]):
+            terms_out[k, index] = earned[i, index]
+            sums[i, index] += earned[i, index]
+            total += weights[index] * earned[i, index]
+        totals[i] += total
+        reward[k] = total
+        terminated[k] = crashed or lost
+        truncated[k] = end != FLYING and not (crashed or lost)
+
+
+@compiled(
+    f"void(int64, int64, int64, float32[:,::1], {at.BANK}, {at.RAYS}, float64[::1], float64[::1],"
+    f" float64[::1], {at.SWARM}, {at.MOTION}, {at.VIEWS}, {at.ACTS}, {at.SHOWN}, {at.PAID}, {at.SNAPSHOTS})"
+)
+def step_swarms(
+    first: int,
+    last: int,
+    contract: int,
+    velocity: Float32Array,
+    bank: Arrays,
+    rays: Arrays,
+    law: FloatArray,
+    numbers: FloatArray,
+    weights: FloatArray,
+    swarm: Arrays,
+    motion: Arrays,
+    views: Arrays,
+    acts: Arrays,
+    shown: Arrays,
+    paid: Arrays,
+    snapshots: Arrays,
+) -> None:
+    """Fly some swarms of a batch on by one control step; for the arrays see `batch_layout_kernels`.
+
+    A swarm whose trial is over keeps the number of its end in its places and must be begun anew.
+
+    Args:
+        first: number of the first swarm.
+        last: one more than that of the last.
+        contract: number of the observations' contract.
+        velocity: (K, 3) what each stream wants to fly, heading frame, m/s.
+        bank: obstacles and leaders' flights of all scenes.
+        rays: tables of the grid.
+        law: parameters of `flock`.
+        numbers: of the reward, see `reward_layout_kernels`.
+        weights: (R,) of its terms.
+        swarm: what holds for each swarm.
+        motion: how its vehicles move.
+        views: what they perceive.
+        acts: what they do and earn.
+        shown: out, what policies and critics see.
+        paid: out, rewards and ends.
+        snapshots: of the recent past.
+    """
+    for s in range(first, last):
+        _fly_on(s, velocity, bank, law, swarm, motion, views, acts)
+        step = swarm[1][s, at.STEP]
+        settle(step, _world(s, bank, swarm), _motion(s, motion), swarm[2][s])
+        add_sample(
+            motion[0][s, step % motion[0].shape[1]], motion[7][s], swarm[2][s, place.CAP], acts[3][s]
+        )  # fmt: skip
+        _observe(s, contract, bank, rays, law, swarm, motion, views, acts, shown, snapshots)
+        end = _judge(s, swarm, motion, views, acts)
+        swarm[1][s, at.END] = end
+        _pay(s, end, rays, numbers, weights, swarm, motion, views, acts, paid)
