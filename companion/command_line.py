@@ -74,6 +74,7 @@ def _code_of(error: Exception) -> ExitCode:
     codes: tuple[tuple[type[Exception], ExitCode], ...] = (
         (MissingProfileError, ExitCode.NO_INPUT),
         (errors.ProfileError, ExitCode.CONFIG),
+        (errors.ModelError, ExitCode.CONFIG),
         (BusyError, ExitCode.TEMPORARY),
         (NotRunningError, ExitCode.UNAVAILABLE),
         (errors.StartError, ExitCode.UNAVAILABLE),

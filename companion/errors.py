@@ -20,5 +20,9 @@ class StartError(CompanionError):
     """A driver could not start; the text names the stage that failed."""
 
 
+class ModelError(CompanionError):
+    """A learned model cannot fly; the text names the file, what was found and what is wanted."""
+
+
 class LogError(CompanionError):
     """A log cannot be written or read."""

@@ -38,7 +38,7 @@ class ExitCode(IntEnum):
     """Something else is in the way for now, such as a second instance."""
 
     CONFIG = 78
-    """The profile is wrong; starting again would not help."""
+    """The profile, or the model that it names, is wrong; starting again would not help."""
 
     INTERRUPTED = 130
     """Stopped from the keyboard."""

@@ -160,6 +160,12 @@ def _remember(ego: FloatArray, memory: FloatArray, command: FloatArray) -> None:
     memory[PREVIOUS + 2] = command[2]
 
 
+@compiled("boolean(float64[::1], float64[:,::1], float64[:,::1])")
+def is_sound(ego: FloatArray, neighbours: FloatArray, ranges: FloatArray) -> bool:
+    """Return whether `steer` can reckon with its inputs; if not it asks for zero velocity."""
+    return _is_sound(ego, neighbours, ranges)
+
+
 @compiled("void(float64[::1], float64[::1], float64[::1], float64[::1])")
 def limit_command(
     ego: FloatArray, previous_map: FloatArray, parameters: FloatArray, command: FloatArray

@@ -1,4 +1,4 @@
-"""The role of a follower: what it perceives goes into its law, and a velocity comes out."""
+"""The role of a follower: what it perceives goes into its law or policy, and a velocity comes out."""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -6,6 +6,7 @@ from typing import Protocol
 import numpy as np
 
 from companion.clock import ns_to_seconds
+from companion.control.action import Pilot, PolicyCounters
 from companion.control.followers.laws_kernels import steer
 from companion.control.followers.layout_kernels import (
     EGO_ALONE,
@@ -21,6 +22,7 @@ from companion.control.followers.layout_kernels import (
     ROW_ID,
     ROW_PRESENT,
 )
+from companion.control.followers.learned import LearnedFollower
 from companion.control.followers.settings import FollowerSettings
 from companion.geometry import rotation
 from companion.messages import (
@@ -30,10 +32,12 @@ from companion.messages import (
     Odometry,
     OdometryStatus,
     RegisteredScan,
+    StatusText,
     VelocityCommand,
 )
 
 _LONGEST_STEP_S = 0.1
+_UP = np.array([0.0, 0.0, 1.0])
 
 
 class NeighbourSource(Protocol):
@@ -69,16 +73,22 @@ class FollowerDecision:
     command: VelocityCommand
     plan: None = None
     finished: bool = False
+    remarks: tuple[StatusText, ...] = ()
 
 
 class FollowerRole:
-    """Flies with the others by one of the laws.
+    """Flies with the others by one of the laws, or by a learned policy with a law beside it.
 
     Every input arrives through `meet`, `observe` and `decide`; equal inputs give equal commands.
     """
 
     def __init__(
-        self, settings: FollowerSettings, neighbours: NeighbourSource, grid: RangeSource, free: FloatArray
+        self,
+        settings: FollowerSettings,
+        neighbours: NeighbourSource,
+        grid: RangeSource,
+        free: FloatArray,
+        pilot: Pilot | None = None,
     ) -> None:
         """Take all memory at once.
 
@@ -87,9 +97,11 @@ class FollowerRole:
             neighbours: where the others are.
             grid: where the obstacles are.
             free: (azimuths, elevations) ranges of an obstacle grid without any obstacle.
+            pilot: asks the policy that flies, None where the law does.
         """
         self._method = METHOD_IDS[settings.method]
         self._parameters = settings.packed()
+        self._learned = None if pilot is None else LearnedFollower(pilot, self._parameters)
         self._view = neighbours
         self._grid = grid
         self._free = np.ascontiguousarray(free, dtype=np.float64)
@@ -100,6 +112,12 @@ class FollowerRole:
         self._reset_counter: int | None = None
         self._decided_ns: int | None = None
         self._alone_since_ns = 0
+        self._up = np.zeros(3)
+
+    @property
+    def counters(self) -> PolicyCounters | None:
+        """What has become of the policy's velocities; None where none flies."""
+        return None if self._learned is None else self._learned.counters
 
     def reset(self, odometry: Odometry) -> None:
         """Start afresh from standstill: control was taken, or taken again.
@@ -158,16 +176,25 @@ class FollowerRole:
             self._alone_since_ns = t_ns
         yaw = self._describe_self(odometry, t_ns)
         v_heading = np.zeros(3)
+        remarks: tuple[StatusText, ...] = ()
+        if self._learned is not None:
+            self._learned.begin(self._memory)
         steer(self._method, self._ego, rows, self._ranges, self._memory, self._parameters, v_heading)
+        if self._learned is not None:
+            self._learned.overrule(self._ego, self._up, rows, self._ranges, self._memory, v_heading, t_ns)
+            remarks = self._learned.remarks()
         self._decided_ns = t_ns
-        return _decision(odometry, np.asarray(rotation.rotate(rotation.from_yaw(yaw), v_heading)))
+        return _decision(odometry, np.asarray(rotation.rotate(rotation.from_yaw(yaw), v_heading)), remarks)
 
     def _describe_self(self, odometry: Odometry, t_ns: int) -> float:
         """Write the own state at `t_ns` for the law; return the heading."""
         assert self._decided_ns is not None
         age_s = ns_to_seconds(t_ns - odometry.t_ns)
         turned = rotation.exp(odometry.omega_body * age_s)
-        yaw = float(rotation.yaw_of(rotation.multiply(odometry.q_map_body, turned)))
+        q_map_body = rotation.multiply(odometry.q_map_body, turned)
+        yaw = float(rotation.yaw_of(q_map_body))
+        q_heading_body = rotation.multiply(rotation.from_yaw(-yaw), q_map_body)
+        self._up[:] = rotation.rotate(q_heading_body, _UP)
         ego = self._ego
         ego[EGO_P : EGO_P + 3] = odometry.p_map + age_s * odometry.v_map
         ego[EGO_V : EGO_V + 3] = rotation.rotate(rotation.from_yaw(-yaw), odometry.v_map)
@@ -202,5 +229,7 @@ def _usable(odometry: Odometry) -> bool:
     )
 
 
-def _decision(odometry: Odometry, v_map: FloatArray) -> FollowerDecision:
-    return FollowerDecision(VelocityCommand(odometry.t_ns, v_map, 0.0))
+def _decision(
+    odometry: Odometry, v_map: FloatArray, remarks: tuple[StatusText, ...] = ()
+) -> FollowerDecision:
+    return FollowerDecision(VelocityCommand(odometry.t_ns, v_map, 0.0), remarks=remarks)

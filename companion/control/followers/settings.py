@@ -1,7 +1,10 @@
-"""Which law a follower flies by, and the gains of each."""
+"""Which law a follower flies by, and the gains of each; which learned model has its say."""
 
+import hashlib
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -19,6 +22,7 @@ from companion.control.followers.layout_kernels import LAW_PARAMETERS, METHOD_ID
 from companion.messages import FloatArray
 from companion.settings import Settings
 
+Controller = Literal["law", "policy"]
 Method = Literal["flock", "pacnav", "vpf", "vpf_polar", "reynolds_apf", "lloyd"]
 METHODS: dict[str, type[Settings]] = {
     "flock": FlockSettings,
@@ -29,6 +33,8 @@ METHODS: dict[str, type[Settings]] = {
     "lloyd": LloydSettings,
 }
 """The settings of each law."""
+SHIPPED_MODEL = "shipped"
+"""Stands for the model that comes with the companion."""
 
 
 class CommandSettings(Settings):
@@ -51,6 +57,13 @@ class CommandSettings(Settings):
 class FollowerSettings(Settings):
     """How a follower flies."""
 
+    controller: Controller = "law"
+    """Whose velocity is flown: `law`, or `policy`: a learned model's, beside which the law flies along and
+    takes over in the same tick when the model is late or gives no sound velocity."""
+    model: str = Field(default=SHIPPED_MODEL, min_length=1, max_length=4096)
+    """For `controller: policy`: `shipped`, or an ONNX file; a relative path begins at the profile."""
+    model_sha256: str | None = Field(default=None, pattern=r"^[0-9a-f]{64}$")
+    """Hash that the model's file must have; any if not given."""
     method: Method = "flock"
     """The law."""
     command: CommandSettings = CommandSettings()
@@ -67,6 +80,18 @@ class FollowerSettings(Settings):
     """Gains of `reynolds_apf`."""
     lloyd: LloydSettings = LloydSettings()
     """Gains of `lloyd`."""
+
+    def located(self, folder: Path) -> "FollowerSettings":
+        """Return the same with a model's relative path made one that begins at a folder."""
+        if self.model == SHIPPED_MODEL or Path(self.model).is_absolute():
+            return self
+        return self.model_copy(update={"model": str((folder / self.model).resolve())})
+
+    def law_sha256(self) -> str:
+        """Return the hash of the law with its gains: a model that flies beside it knows it by that."""
+        gains = getattr(self, self.method).model_dump(mode="json")
+        text = json.dumps({"law": self.method, "gains": gains}, sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()
 
     def packed(self, method: str | None = None) -> FloatArray:
         """Return the parameters (PARAMETER_COUNT,) that `steer` wants for a law.
