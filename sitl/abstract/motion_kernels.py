@@ -22,54 +22,52 @@ _PAIR_PARTS = 1e-12
 
 
 @inlined
-def _blow(seed: np.uint64, step: int, parameters: FloatArray, gusts: FloatArray) -> None:
-    """Move the gusts (n, 3) on by one control step; they begin in their stationary distribution."""
+def _blow(seed: np.uint64, step: int, i: int, parameters: FloatArray, gusts: FloatArray) -> None:
+    """Move the gust at vehicle i on by one control step; it begins in its stationary distribution."""
     dt = parameters[place.CONTROL_STEP]
-    for i in range(gusts.shape[0]):
-        chance = stream(seed, step, i, _WIND_STREAM)
-        a, b = normal_pair(chance, 0)
-        c, _ = normal_pair(chance, 1)
-        kept = math.exp(-dt / parameters[place.GUST_TIME]) if step > 0 else 0.0
-        fresh = parameters[place.GUST] * math.sqrt(1.0 - kept * kept)
-        gusts[i, 0] = kept * gusts[i, 0] + fresh * a
-        gusts[i, 1] = kept * gusts[i, 1] + fresh * b
-        kept = math.exp(-dt / parameters[place.VERTICAL_GUST_TIME]) if step > 0 else 0.0
-        gusts[i, 2] = kept * gusts[i, 2] + parameters[place.VERTICAL_GUST] * math.sqrt(1.0 - kept * kept) * c
+    chance = stream(seed, step, i, _WIND_STREAM)
+    a, b = normal_pair(chance, 0)
+    c, _ = normal_pair(chance, 1)
+    kept = math.exp(-dt / parameters[place.GUST_TIME]) if step > 0 else 0.0
+    fresh = parameters[place.GUST] * math.sqrt(1.0 - kept * kept)
+    gusts[i, 0] = kept * gusts[i, 0] + fresh * a
+    gusts[i, 1] = kept * gusts[i, 1] + fresh * b
+    kept = math.exp(-dt / parameters[place.VERTICAL_GUST_TIME]) if step > 0 else 0.0
+    gusts[i, 2] = kept * gusts[i, 2] + parameters[place.VERTICAL_GUST] * math.sqrt(1.0 - kept * kept) * c
 
 
 @inlined
 def _lag(
-    seed: np.uint64, step: int, commands: FloatArray, parameters: FloatArray, motion: FloatArray
+    seed: np.uint64, step: int, i: int, commands: FloatArray, parameters: FloatArray, motion: FloatArray
 ) -> None:
-    """Move vehicles whose velocity follows the command with a first-order lag of their own."""
+    """Move a vehicle whose velocity follows the command with a first-order lag of its own."""
     dt = parameters[place.CONTROL_STEP]
     delay = int(parameters[place.COMMAND_DELAY] + parameters[place.SUBSTEPS] - 1.0) // int(
         parameters[place.SUBSTEPS]
     )
     row = max(step - delay, 0) % commands.shape[0]
-    for i in range(motion.shape[0]):
-        share = uniform(stream(seed, 0, i, _LAG_STREAM), 0)
-        time = parameters[place.LAG_LEAST]
-        time += share * (parameters[place.LAG_GREATEST] - parameters[place.LAG_LEAST])
-        gain = -math.expm1(-dt / time) / dt
-        ax = gain * (commands[row, i, 0] - motion[i, V])
-        ay = gain * (commands[row, i, 1] - motion[i, V + 1])
-        az = gain * (commands[row, i, 2] - motion[i, V + 2])
-        size = math.sqrt(ax * ax + ay * ay + az * az)
-        if size > parameters[place.LAG_ACCELERATION]:
-            scale = parameters[place.LAG_ACCELERATION] / size
-            ax, ay, az = ax * scale, ay * scale, az * scale
-        for axis in range(3):
-            a = ax if axis == 0 else (ay if axis == 1 else az)
-            motion[i, P + axis] += dt * (motion[i, V + axis] + 0.5 * dt * a)
-            motion[i, V + axis] += dt * a
-        # Level flight tilts by what it accelerates; the heading stays.
-        w, z = motion[i, Q], motion[i, Q + 3]
-        yaw = 2.0 * math.atan2(z, w) if motion[i, Q + 1] == 0.0 and motion[i, Q + 2] == 0.0 else 0.0
-        if motion[i, Q + 1] != 0.0 or motion[i, Q + 2] != 0.0:
-            x, y = motion[i, Q + 1], motion[i, Q + 2]
-            yaw = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
-        _tilt(motion[i], ax, ay, az + _GRAVITY, yaw)
+    share = uniform(stream(seed, 0, i, _LAG_STREAM), 0)
+    time = parameters[place.LAG_LEAST]
+    time += share * (parameters[place.LAG_GREATEST] - parameters[place.LAG_LEAST])
+    gain = -math.expm1(-dt / time) / dt
+    ax = gain * (commands[row, i, 0] - motion[i, V])
+    ay = gain * (commands[row, i, 1] - motion[i, V + 1])
+    az = gain * (commands[row, i, 2] - motion[i, V + 2])
+    size = math.sqrt(ax * ax + ay * ay + az * az)
+    if size > parameters[place.LAG_ACCELERATION]:
+        scale = parameters[place.LAG_ACCELERATION] / size
+        ax, ay, az = ax * scale, ay * scale, az * scale
+    for axis in range(3):
+        a = ax if axis == 0 else (ay if axis == 1 else az)
+        motion[i, P + axis] += dt * (motion[i, V + axis] + 0.5 * dt * a)
+        motion[i, V + axis] += dt * a
+    # Level flight tilts by what it accelerates; the heading stays.
+    w, z = motion[i, Q], motion[i, Q + 3]
+    yaw = 2.0 * math.atan2(z, w) if motion[i, Q + 1] == 0.0 and motion[i, Q + 2] == 0.0 else 0.0
+    if motion[i, Q + 1] != 0.0 or motion[i, Q + 2] != 0.0:
+        x, y = motion[i, Q + 1], motion[i, Q + 2]
+        yaw = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    _tilt(motion[i], ax, ay, az + _GRAVITY, yaw)
 
 
 @inlined
@@ -86,6 +84,41 @@ def _tilt(row: FloatArray, fx: float, fy: float, fz: float, yaw: float) -> None:
     row[Q + 1] = sr * cp * cy - cr * sp * sy
     row[Q + 2] = cr * sp * cy + sr * cp * sy
     row[Q + 3] = cr * cp * sy - sr * sp * cy
+
+
+@inlined
+def move_one(
+    seed: np.uint64,
+    step: int,
+    i: int,
+    commands: FloatArray,
+    parameters: FloatArray,
+    quadrotor: FloatArray,
+    gusts: FloatArray,
+    motion: FloatArray,
+    loop: FloatArray,
+    setpoint: FloatArray,
+    wind: FloatArray,
+) -> None:
+    """Move vehicle i on by one control step; the arrays are those of `move`."""
+    if parameters[place.QUADROTOR] < 0.5:
+        _lag(seed, step, i, commands, parameters, motion)
+        return
+    _blow(seed, step, i, parameters, gusts)
+    for axis in range(3):
+        wind[i, axis] = parameters[place.WIND_X + axis] + gusts[i, axis]
+    setpoint[i, 3] = 0.0
+    setpoint[i, 4] = 1.0
+    substeps = int(parameters[place.SUBSTEPS])
+    delay = int(parameters[place.COMMAND_DELAY])
+    for substep in range(substeps):
+        # The command in force was given at least the delay ago; before the first, vehicles hover.
+        late = max(delay - substep + substeps - 1, 0) // substeps
+        for axis in range(3):
+            setpoint[i, axis] = commands[(step - late) % commands.shape[0], i, axis] if step >= late else 0.0
+        advance_one(
+            i, motion, loop, setpoint, motion[i, V], motion[i, V + 1], motion[i, V + 2], wind, quadrotor
+        )  # fmt: skip
 
 
 @compiled(
@@ -118,29 +151,8 @@ def move(
         setpoint: (n, 5) scratch.
         wind: (n, 3) scratch.
     """
-    if parameters[place.QUADROTOR] < 0.5:
-        _lag(seed, step, commands, parameters, motion)
-        return
-    _blow(seed, step, parameters, gusts)
     for i in range(motion.shape[0]):
-        for axis in range(3):
-            wind[i, axis] = parameters[place.WIND_X + axis] + gusts[i, axis]
-        setpoint[i, 3] = 0.0
-        setpoint[i, 4] = 1.0
-    substeps = int(parameters[place.SUBSTEPS])
-    delay = int(parameters[place.COMMAND_DELAY])
-    for substep in range(substeps):
-        # The command in force was given at least the delay ago.
-        late = max(delay - substep + substeps - 1, 0) // substeps
-        for i in range(motion.shape[0]):
-            for axis in range(3):
-                # Before the first command has arrived, vehicles hover.
-                setpoint[i, axis] = (
-                    commands[(step - late) % commands.shape[0], i, axis] if step >= late else 0.0
-                )
-            advance_one(
-                i, motion, loop, setpoint, motion[i, V], motion[i, V + 1], motion[i, V + 2], wind, quadrotor
-            )  # fmt: skip
+        move_one(seed, step, i, commands, parameters, quadrotor, gusts, motion, loop, setpoint, wind)
 
 
 @compiled("float64(int32[::1], float64[:,::1], float64[:,::1], int32[::1], int64, float64, float64, float64)")

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from companion.compiled import compiled
+from companion.compiled import compiled, inlined
 from companion.control.followers.laws_kernels import steer
 from companion.control.followers.layout_kernels import PREVIOUS
 from companion.messages import FloatArray
@@ -51,6 +51,51 @@ TRACE = f"Tuple(({_F3}, {_F3}, uint8[:,:,::1], {_F2}))"
 (T, n, 3), who perceives whom (T, n, n), distances to the nearest surface (T, n)."""
 
 
+@inlined
+def look_about(i: int, step: int, world: Arrays, motion: Arrays, parameters: FloatArray) -> None:
+    """Find the obstacles near vehicle i, if a scan arrives at this step."""
+    if step % int(parameters[place.SCAN_STEPS]) == 0:
+        _, _, discs, candidates, counts = world
+        history = motion[0]
+        then = past(history, step, int(parameters[place.GRID_DELAY]))
+        counts[i] = cull(
+            discs, history[then, i, 0], history[then, i, 1], parameters[place.CULL_RANGE], candidates[i]
+        )
+
+
+@inlined
+def perceive_one(
+    seed: np.uint64,
+    step: int,
+    i: int,
+    world: Arrays,
+    grid: Arrays,
+    motion: Arrays,
+    views: Arrays,
+    parameters: FloatArray,
+    roles: NDArray[np.uint8],
+    up: FloatArray,
+) -> None:
+    """Give follower i what it perceives at a step; nothing of the others changes.
+
+    `roles` (n,) and `up` (3,) are scratch, the rest is as for `perceive`.
+    """
+    kinds, rows, discs, candidates, counts = world
+    limits, azimuth_rays, elevation_rays, column_edges, row_edges = grid
+    history = motion[0]
+    tracks, ego, neighbours, ranges, _, _, _ = views
+    look_about(i, step, world, motion, parameters)
+    if step % int(parameters[place.SCAN_STEPS]) == 0:
+        look_around(
+            seed, i, step, history, kinds, rows, discs, candidates[i], counts[i], parameters, tracks[i]
+        )
+        look_at_obstacles(
+            i, step, history, kinds, rows, discs, candidates[i], counts[i], parameters, limits,
+            azimuth_rays, elevation_rays, column_edges, row_edges, tracks[i], roles, up, ranges[i],
+        )  # fmt: skip
+    observe(seed, i, step, history, parameters, tracks[i], ego[i], neighbours[i])
+
+
 @compiled(f"void(uint64, int64, {WORLD}, {GRID}, {MOTION}, {VIEWS}, {_F1})")
 def perceive(
     seed: np.uint64,
@@ -62,25 +107,10 @@ def perceive(
     parameters: FloatArray,
 ) -> None:
     """Give every follower what it perceives at a step; see the types' descriptions for the arguments."""
-    kinds, rows, discs, candidates, counts = world
-    limits, azimuth_rays, elevation_rays, column_edges, row_edges = grid
-    history = motion[0]
-    tracks, ego, neighbours, ranges, _, roles, up = views
-    n = history.shape[1]
-    if step % int(parameters[place.SCAN_STEPS]) == 0:
-        states = history[past(history, step, int(parameters[place.GRID_DELAY]))]
-        for i in range(n):
-            counts[i] = cull(discs, states[i, 0], states[i, 1], parameters[place.CULL_RANGE], candidates[i])
-        for i in range(1, n):
-            look_around(
-                seed, i, step, history, kinds, rows, discs, candidates[i], counts[i], parameters, tracks[i]
-            )
-            look_at_obstacles(
-                i, step, history, kinds, rows, discs, candidates[i], counts[i], parameters, limits,
-                azimuth_rays, elevation_rays, column_edges, row_edges, tracks[i], roles, up, ranges[i],
-            )  # fmt: skip
-    for i in range(1, n):
-        observe(seed, i, step, history, parameters, tracks[i], ego[i], neighbours[i])
+    roles, up = views[5], views[6]
+    look_about(0, step, world, motion, parameters)
+    for i in range(1, roles.shape[0]):
+        perceive_one(seed, step, i, world, grid, motion, views, parameters, roles, up)
 
 
 @compiled(f"float64(int64, {VIEWS}, {_F1})")
@@ -95,6 +125,25 @@ def leader_unseen(step: int, views: Arrays, parameters: FloatArray) -> float:
     return float(latest - newest)
 
 
+@inlined
+def settle_one(step: int, i: int, world: Arrays, motion: Arrays, parameters: FloatArray) -> None:
+    """Take down where vehicle i is at a step, how near to obstacles, and whether it has touched one."""
+    kinds, rows, discs, candidates, counts = world
+    history, _, _, state, _, _, _, rooms, touching = motion
+    now = step % history.shape[0]
+    before = max(step - 1, 0) % history.shape[0]
+    for axis in range(3):
+        history[now, i, axis] = state[i, P + axis]
+        history[now, i, 3 + axis] = state[i, V + axis]
+    for part in range(4):
+        history[now, i, 6 + part] = state[i, Q + part]
+    here, there = history[before, i, 0:3], history[now, i, 0:3]
+    rooms[i] = room_at(kinds, rows, discs, candidates[i], counts[i], there[0], there[1], there[2])
+    touching[i] = touches(
+        kinds, rows, discs, candidates[i], counts[i], here, there, parameters[place.VEHICLE_RADIUS], rooms[i]
+    )
+
+
 @compiled(f"void(int64, {WORLD}, {MOTION}, {_F1})")
 def settle(
     step: int,
@@ -103,22 +152,8 @@ def settle(
     parameters: FloatArray,
 ) -> None:
     """Take down where everybody is at a step, how near to obstacles, and who has touched one."""
-    kinds, rows, discs, candidates, counts = world
-    history, _, _, state, _, _, _, rooms, touching = motion
-    now = step % history.shape[0]
-    before = max(step - 1, 0) % history.shape[0]
-    for i in range(state.shape[0]):
-        for axis in range(3):
-            history[now, i, axis] = state[i, P + axis]
-            history[now, i, 3 + axis] = state[i, V + axis]
-        for part in range(4):
-            history[now, i, 6 + part] = state[i, Q + part]
-        here, there = history[before, i, 0:3], history[now, i, 0:3]
-        rooms[i] = room_at(kinds, rows, discs, candidates[i], counts[i], there[0], there[1], there[2])
-        touching[i] = touches(
-            kinds, rows, discs, candidates[i], counts[i], here, there, parameters[place.VEHICLE_RADIUS],
-            rooms[i],
-        )  # fmt: skip
+    for i in range(motion[3].shape[0]):
+        settle_one(step, i, world, motion, parameters)
 
 
 @compiled(f"void({WORLD}, {MOTION}, {_F1})")
