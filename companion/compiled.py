@@ -42,6 +42,11 @@ def inlined(function: _Function) -> _Function:
     return cast(_Function, numba.njit(nogil=True, error_model="numpy")(function))
 
 
+def declaring_packages() -> set[str]:
+    """Return the names of the top-level packages whose modules have declared kernels so far."""
+    return {str(dispatcher.py_func.__module__).partition(".")[0] for dispatcher, _ in _registry}
+
+
 def warm_up(on_kernel: Callable[[str, int, int], None] | None = None) -> int:
     """Compile or load every registered kernel, then forbid compilation.
 

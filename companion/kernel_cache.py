@@ -4,11 +4,11 @@ import contextlib
 import hashlib
 import importlib
 import pkgutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 import companion
-from companion.compiled import warm_up
+from companion.compiled import declaring_packages, warm_up
 
 _STAMP = "kernels.sha256"
 
@@ -49,6 +49,22 @@ def forget_stale_kernels(root: Path, other_sources: Sequence[Path] = ()) -> bool
     return True
 
 
+def forget_stale(packages: Iterable[str] = ()) -> None:
+    """Delete compiled kernels whose sources have changed, of this package and of others.
+
+    Those of others count as changed also when a kernel of this package has, for it may be part of them.
+
+    Args:
+        packages: names of the others; what is no package on the disk is passed over.
+    """
+    own = Path(companion.__file__).parent
+    shared = own / "compiled.py"
+    forget_stale_kernels(own, [shared])
+    for name in sorted({*packages} - {companion.__name__}):
+        for folder in getattr(importlib.import_module(name), "__path__", ()):
+            forget_stale_kernels(Path(folder), [*own.rglob("*kernels.py"), shared])
+
+
 def load_kernels(on_kernel: Callable[[str, int, int], None] | None = None) -> int:
     """Compile every kernel or load it from the disk cache, then forbid compilation in this process.
 
@@ -58,7 +74,7 @@ def load_kernels(on_kernel: Callable[[str, int, int], None] | None = None) -> in
     Returns:
         The number of kernels made ready.
     """
-    forget_stale_kernels(Path(companion.__file__).parent)
+    forget_stale(declaring_packages())
     for name in kernel_modules():
         importlib.import_module(name)
     return warm_up(on_kernel)

@@ -12,6 +12,7 @@ from companion.exit_codes import ExitCode
 if TYPE_CHECKING:
     from companion.logs.swarm_starts import StartPose, Vector
 
+_CAP_M = 4.0
 EPILOG = "Example: companion metrics uav1.mcap uav2.mcap uav3.mcap --starts starts.yaml --airborne"
 
 
@@ -30,9 +31,13 @@ def metrics(
         typer.Option(metavar="x,y,z", help="The leader's way, for mission progress; repeated, goal last."),
     ] = None,
     cap: Annotated[
-        float | None,
-        typer.Option(metavar="M", min=0.01, help="Only moments with an obstacle this near count for MDO."),
-    ] = None,
+        float,
+        typer.Option(
+            metavar="M",
+            min=0.01,
+            help="MDO averages over moments with an obstacle this near, as in campaigns; inf: over all.",
+        ),
+    ] = _CAP_M,
     airborne: Annotated[
         bool, typer.Option("--airborne", help="Leave out times at which not all UAVs flew.")
     ] = False,
@@ -49,7 +54,7 @@ def metrics(
 
     Maps are laid together by start poses, or by the truth in logs of simulated flights; computers' clocks by
     the time of day, or by clock_offset_s in the file of starts. MDO is measured from each UAV to the clouds
-    that it recorded itself, without ground and other UAVs.
+    that it recorded itself, without ground and other UAVs; --json says its cap as MDO_cap_m, null if none.
     """
 
     def body() -> tuple[Result, ExitCode]:
@@ -69,7 +74,7 @@ def metrics(
             airborne=airborne,
             from_s=from_s,
             to_s=math.inf if to_s is None else to_s,
-            cap_m=math.inf if cap is None else cap,
+            cap_m=cap,
         )
         found = judge(request, _show if sys.stderr.isatty() else None)
         page = output or logs[0].with_name("swarm.html")

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import numpy as np
 from numpy.random import Generator, SeedSequence
-from pydantic import Field, Strict
+from pydantic import Field, Strict, model_validator
 
 from companion.clock import NANOSECONDS_PER_SECOND
 from companion.config import SCHEMA_DIALECT, Profile, load_profile
@@ -16,6 +16,7 @@ from companion.geometry import rotation
 from companion.geometry.pose import Pose
 from companion.messages import FloatArray
 from companion.settings import Settings
+from companion.yaml_problems import misfit
 from companion.yaml_source import load
 from sitl.dynamics import QuadrotorSettings
 from sitl.network import NetworkSettings
@@ -52,10 +53,10 @@ class Scenario(Settings):
     """Everything random comes from it."""
 
     max_duration_s: float = Field(default=180.0, gt=0.0, le=3600.0)
-    """The flight has failed if it lasts longer."""
+    """The flight of a single vehicle has failed if it lasts longer; swarms have `swarm.termination`."""
 
     goal_tolerance_m: float = Field(default=1.0, gt=0.0, le=10.0)
-    """Largest distance between the place of landing and the last waypoint."""
+    """Largest distance between a single vehicle's place of landing and the last waypoint."""
 
     vehicle_radius_m: float = Field(default=0.2, gt=0.0, le=2.0)
     """A surface nearer than this to the vehicle's centre is a collision."""
@@ -81,6 +82,14 @@ class Scenario(Settings):
     network: NetworkSettings = NetworkSettings()
     quadrotor: QuadrotorSettings = QuadrotorSettings()
     wind: WindSettings = GENTLE_GUSTS
+
+    @model_validator(mode="after")
+    def _swarms_have_rules_of_their_own(self) -> "Scenario":
+        rules = {"goal_tolerance_m": "goal_tolerance_m", "max_duration_s": "spare_time_s"}
+        for key, instead in rules.items():
+            if self.swarm is not None and key in self.model_fields_set:
+                raise misfit((key,), "it beside a swarm", f"swarm.termination.{instead} instead")
+        return self
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -41,6 +41,9 @@ def world(
     def body() -> tuple[Result, ExitCode]:
         import numpy as np
 
+        from companion.kernel_cache import forget_stale
+
+        forget_stale(("sitl",))
         site = _site(name, np.random.default_rng(seed), followers, voxel)
         result = _described(site, seed)
         if out is not None:

@@ -2,6 +2,8 @@
 
 import pytest
 
+from companion.kernel_cache import forget_stale
+
 # These use the sensor's and the autopilot's fixed ports, or measure real time, so two of them must not run
 # at once.
 _ONE_AT_A_TIME = frozenset(
@@ -18,6 +20,12 @@ _ONE_AT_A_TIME = frozenset(
         "test_wire",
     }
 )
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Forget kernels whose sources have changed, once, before any process of the tests loads one."""
+    if not hasattr(config, "workerinput"):
+        forget_stale(("sitl",))
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

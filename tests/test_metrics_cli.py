@@ -11,6 +11,7 @@ import pytest
 from companion.cli import main
 from companion.exit_codes import ExitCode
 from companion.logs import metrics
+from sitl.campaign.definition import CampaignDefinition
 from tests.logs import swarm_flight as made_up
 from tests.logs.swarm_flight import NAMES, STARTS, write_logs
 
@@ -84,6 +85,30 @@ def test_the_page_shows_the_series_and_needs_no_network(
     assert out[0].split() == ["UAVs", "FR", "(m)", "MS", "(m)", "AL", "MDO", "(m)"]
     assert re.fullmatch(r" +3( +\d\.\d\d ± \d\.\d\d){4}", out[1])
     assert out[-1] == str(page)
+
+
+def test_mdo_has_the_cap_of_campaigns_unless_told_otherwise(
+    logs: list[str], tmp_path: Path, capsys: Output
+) -> None:
+    given = ["metrics", *logs, *TIMES, "-o", str(tmp_path / "page.html")]
+    for more, cap, said in (
+        ([], metrics.DEFAULT_CAP_M, "MDO over moments with an obstacle within 4 m"),
+        (["--cap", "2.5"], 2.5, "MDO over moments with an obstacle within 2.5 m"),
+        (["--cap", "inf"], None, "MDO over all moments, without a cap"),
+    ):
+        assert main([*given, *more, "--json"]) == ExitCode.OK
+        assert last_json(capsys)["MDO_cap_m"] == cap
+        assert main([*given, *more]) == ExitCode.OK
+        assert said in capsys.readouterr().out
+        assert said in (tmp_path / "page.html").read_text("utf-8")
+    assert CampaignDefinition.model_fields["obstacle_distance_cap_m"].default == metrics.DEFAULT_CAP_M
+
+
+def test_help_says_the_cap(capsys: Output) -> None:
+    main(["metrics", "--help"])
+    told = " ".join(capsys.readouterr().out.replace("│", " ").split())
+    assert "[default: 4.0; x>=0.01]" in told
+    assert "MDO_cap_m" in told
 
 
 def test_a_start_on_the_command_line_goes_over_the_file(

@@ -10,7 +10,7 @@ import numpy as np
 
 from companion.errors import LogError
 from companion.logs.figure_page import write_whole
-from companion.logs.metrics import Spread, SwarmMetrics, measure, mission_progress_percent
+from companion.logs.metrics import DEFAULT_CAP_M, Spread, SwarmMetrics, measure, mission_progress_percent
 from companion.logs.swarm_log import Progress, SwarmFlight, read_swarm
 from companion.logs.swarm_obstacles import obstacle_distances
 from companion.logs.swarm_page import swarm_page
@@ -45,7 +45,7 @@ class SwarmRequest:
     airborne: bool = False
     from_s: float = 0.0
     to_s: float = math.inf
-    cap_m: float = math.inf
+    cap_m: float = DEFAULT_CAP_M
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,14 +93,16 @@ class SwarmReport:
 
     def lines(self) -> list[str]:
         """Return the same for the terminal; the first two are the paper's table."""
-        cap = f", obstacles within {self.metrics.cap_m:g} m" if math.isfinite(self.metrics.cap_m) else ""
+        cap = f"moments with an obstacle within {self.metrics.cap_m:g} m"
+        if not math.isfinite(self.metrics.cap_m):
+            cap = "all moments, without a cap"
         nearest = _smallest(self.metrics)
         closest = f"closest pair {self.metrics.minimum_separation_m.min():.2f} m"
         obstacle = f", nearest obstacle {nearest:.2f} m" if math.isfinite(nearest) else ""
         texts = [
             f"{'UAVs':>4}  " + "  ".join(f"{head:>13}" for head in ("FR (m)", "MS (m)", "AL", "MDO (m)")),
             f"{len(self.flight.vehicles):>4}  " + "  ".join(f"{self.cell(name):>13}" for name in SHOWN),
-            f"{self.metrics.t[-1]:.1f} s at 20 Hz, positions from {self.flight.source}{cap}",
+            f"{self.metrics.t[-1]:.1f} s at 20 Hz, positions from {self.flight.source}; MDO over {cap}",
             closest + obstacle,
         ]
         if self.progress_percent is not None:

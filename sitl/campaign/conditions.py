@@ -15,7 +15,7 @@ from companion.control.followers.settings import FollowerSettings
 from companion.errors import LogError, ProfileError
 from companion.settings import Settings
 from sitl.abstract.settings import AbstractSettings
-from sitl.campaign.definition import CampaignDefinition, MethodEntry, Seeds
+from sitl.campaign.definition import LEARNED, CampaignDefinition, MethodEntry, Seeds
 from sitl.campaign.own_worlds import FlownWorld, flown_world
 from sitl.swarm.record import Fidelity
 from sitl.swarm.settings import SwarmSettings
@@ -220,7 +220,25 @@ def _gains(entry: MethodEntry, folder: Path) -> FollowerSettings:
     follower = FollowerSettings()
     if entry.parameters is not None:
         follower = load_profile(folder / entry.parameters).follower or follower
-    return follower.model_copy(update={"method": entry.method_name})
+    if entry.method_name != LEARNED:
+        return follower.model_copy(update={"method": entry.method_name, "controller": "law"})
+    if follower.controller != LEARNED:
+        raise ProfileError(
+            f"{folder / str(entry.parameters)}: follower.controller: found {follower.controller!r}, "
+            f"allowed {LEARNED!r} for a method that was learned"
+        )
+    return _pinned(follower)
+
+
+def _pinned(follower: FollowerSettings) -> FollowerSettings:
+    """Return settings that fly no other model than the one that is there now."""
+    # The runtime of learned models takes a moment to import, and most campaigns fly without.
+    from companion.control.policy import model_path
+
+    path = model_path(follower)
+    if follower.model_sha256 is not None or not path.is_file():
+        return follower
+    return follower.model_copy(update={"model_sha256": hashlib.sha256(path.read_bytes()).hexdigest()})
 
 
 def _first_difference(at: str, now: Any, before: Any) -> str | None:

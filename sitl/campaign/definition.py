@@ -205,7 +205,7 @@ class CampaignDefinition(Settings):
             if world.site_name is not None:
                 _known("worlds", index, "site", world.site_name, SITE_NAMES)
         for index, method in enumerate(self.method_entries):
-            _known("methods", index, "method", method.method_name, METHODS)
+            _known("methods", index, "method", method.method_name, (*METHODS, LEARNED))
             if method.method_name == LEARNED and method.parameters is None:
                 raise misfit(("methods", index), "no parameters", "a profile that names what was learned")
         return self

@@ -2,13 +2,11 @@
 
 import functools
 import importlib
-from pathlib import Path
 
-import companion
 import sitl
 from companion.compiled import warm_up
 from companion.errors import ProfileError
-from companion.kernel_cache import forget_stale_kernels
+from companion.kernel_cache import forget_stale
 from sitl.campaign.conditions import Rules
 from sitl.campaign.definition import WorldEntry
 from sitl.campaign.own_worlds import settings_of
@@ -43,7 +41,6 @@ def swarm_of(rules: Rules, world: WorldEntry, followers: int) -> SwarmSettings:
 @functools.cache
 def prepare() -> None:
     """Load all kernels from the disk, once in this process; those whose sources have changed are compiled."""
-    root, laws = Path(sitl.__file__).parent, Path(companion.__file__).parent
-    forget_stale_kernels(root, [*laws.rglob("*kernels.py"), *(root / "abstract").glob("*.py")])
+    forget_stale((sitl.__name__,))
     importlib.import_module("sitl.abstract.flight")
     warm_up()

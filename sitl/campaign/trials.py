@@ -1,9 +1,12 @@
 """One task of a worker: build scenes, fly every method in each, return what they came to."""
 
+import functools
 from dataclasses import replace
 
+from companion.control.followers.settings import FollowerSettings
 from sitl.abstract.course import Course
 from sitl.abstract.flight import AbstractFlight, fly_abstract
+from sitl.abstract.policy_flight import POLICY, Policy
 from sitl.campaign.conditions import Rules, Variant
 from sitl.campaign.scenes import prepare, scene_of
 from sitl.campaign.tasks import SceneTask
@@ -63,4 +66,18 @@ def fly_one(
         world_name=world,
         trial=trial,
         course=course,
+        policy=policy_of(variant.follower) if variant.method == POLICY else None,
     )
+
+
+@functools.lru_cache(maxsize=8)
+def policy_of(follower: FollowerSettings) -> Policy:
+    """Load the model of a learned follower, once in this process.
+
+    Raises:
+        ModelError: if it cannot be flown, or is another than when the campaign began.
+    """
+    # Its runtime takes a moment to import, and most campaigns fly without.
+    from companion.control.policy import load_policy
+
+    return load_policy(follower)

@@ -41,8 +41,19 @@ WRONG: dict[str, tuple[dict[str, object], str]] = {
         {"world": {"pillars": {}, "primitives": []}},
         "name exactly one of site, file, mesh, pillars, primitives",
     ),
+    "duration of a swarm": (
+        {"swarm": {}, "max_duration_s": 60.0},
+        ": max_duration_s: found it beside a swarm, allowed swarm.termination.spare_time_s instead",
+    ),
+    "tolerance of a swarm": (
+        {"swarm": {}, "goal_tolerance_m": 1.5},
+        ": goal_tolerance_m: found it beside a swarm, allowed swarm.termination.goal_tolerance_m instead",
+    ),
     "unknown body": ({"world": {"primitives": [{"shape": "cone"}]}}, "world.primitives[0]"),
 }
+
+BESIDE_EACH_OTHER = ("two worlds", "duration of a swarm", "tolerance of a swarm")
+"""What is wrong only beside something else, about which a schema says nothing."""
 
 Output = pytest.CaptureFixture[str]
 
@@ -211,7 +222,7 @@ class TestSchema:
     def test_it_accepts_what_the_tests_fly(self, tmp_path: Path, validator: Any) -> None:
         validator.validate(yaml.safe_load(write_scenario(tmp_path).read_text()))
 
-    @pytest.mark.parametrize("name", [name for name in WRONG if name != "two worlds"])
+    @pytest.mark.parametrize("name", [name for name in WRONG if name not in BESIDE_EACH_OTHER])
     def test_it_refuses_what_the_loader_refuses(self, name: str, tmp_path: Path, validator: Any) -> None:
         path = write_scenario(tmp_path, **WRONG[name][0])
         assert not validator.is_valid(yaml.safe_load(path.read_text()))

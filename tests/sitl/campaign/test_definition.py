@@ -1,9 +1,10 @@
+import hashlib
 from pathlib import Path
 
 import pytest
 
-from companion.control.followers.settings import METHODS, FollowerSettings
 from companion.errors import ProfileError
+from sitl.abstract.policy_flight import POLICY
 from sitl.abstract.settings import AbstractSettings
 from sitl.campaign.conditions import conditions_of
 from sitl.campaign.definition import LEARNED, load_definition
@@ -156,14 +157,35 @@ def test_a_name_that_nothing_has_is_refused_with_its_place(tmp_path: Path, text:
         load_definition(written(tmp_path, text))
 
 
-def test_a_learned_law_needs_to_be_told_where_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(METHODS, LEARNED, FollowerSettings)
+def test_a_learned_law_needs_to_be_told_where_it_is(tmp_path: Path) -> None:
+    assert LEARNED == POLICY
     named = "title: A\nworlds: [none]\nmethods: [{name: mine, method: policy%s}]\n"
     with pytest.raises(ProfileError, match=r":3:11: methods\[0\]: found no parameters, allowed a profile"):
         load_definition(written(tmp_path, named % ""))
-    (tmp_path / "learned.yaml").write_text("", encoding="utf-8")
-    definition = load_definition(written(tmp_path, named % ", parameters: learned.yaml"))
+    profile = "vehicle: {name: uav9}\nrole: follower\nfollower: {controller: %s, model: mine.onnx}\n"
+    path = written(tmp_path, named % ", parameters: learned.yaml")
+    (tmp_path / "learned.yaml").write_text(profile % "law", encoding="utf-8")
+    definition = load_definition(path)
     assert selection_of(definition).methods == ("mine",)
+    with pytest.raises(
+        ProfileError, match=r"learned.yaml: follower.controller: found 'law', allowed 'policy'"
+    ):
+        conditions_of(definition, path)
+    (tmp_path / "learned.yaml").write_text(profile % "policy", encoding="utf-8")
+    (tmp_path / "mine.onnx").write_bytes(b"learned")
+    variant = conditions_of(definition, path).variants["mine"]
+    assert variant.method == POLICY
+    assert variant.follower.model == str((tmp_path / "mine.onnx").resolve())
+    assert variant.follower.model_sha256 == hashlib.sha256(b"learned").hexdigest()
+
+
+def test_a_law_stays_a_law_whatever_else_its_profile_flies(tmp_path: Path) -> None:
+    (tmp_path / "learned.yaml").write_text(
+        "vehicle: {name: uav9}\nrole: follower\nfollower: {controller: policy}\n", encoding="utf-8"
+    )
+    text = "title: A\nworlds: [none]\nmethods: [{name: flock, parameters: learned.yaml}]\n"
+    path = written(tmp_path, text)
+    assert conditions_of(load_definition(path), path).variants["flock"].follower.controller == "law"
 
 
 class TestPerceptions:

@@ -1,9 +1,7 @@
 import pytest
 
-from companion.control.followers.settings import METHODS as KNOWN
-from companion.control.followers.settings import FollowerSettings
 from sitl.campaign.cases import compare_all, summarise
-from sitl.campaign.definition import LEARNED, CampaignDefinition
+from sitl.campaign.definition import CampaignDefinition
 from sitl.campaign.report import tables_of
 from sitl.campaign.tables import (
     cases_table,
@@ -209,8 +207,7 @@ class TestPerceptions:
         assert "perception" not in summarise(campaign())[0].as_dict()
 
 
-def test_a_learned_law_stands_beside_the_papers_own(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(KNOWN, LEARNED, FollowerSettings)
+def test_a_learned_law_stands_beside_the_papers_own() -> None:
     definition = CampaignDefinition.model_validate_json(
         '{"title": "T", "worlds": ["none"], "followers": [4], '
         '"methods": [{"name": "mine", "method": "policy", "parameters": "mine.yaml"}]}'
