@@ -87,9 +87,13 @@ def run_scenario(
     px4_params: Annotated[
         Literal["check", "apply"], typer.Option(help="Compare that PX4's parameters, or write them too.")
     ] = "check",
-    out: Annotated[Path, typer.Option(help="Folder for the log; an older log in it is replaced.")] = Path(
-        "runs/last"
-    ),
+    out: Annotated[
+        Path,
+        typer.Option(
+            help="Folder for flight.mcap; of a swarm for one such folder each, vehicle_00_leader, "
+            "vehicle_01_follower, ..., or for swarm.mcap if abstract. Older logs become previous-*."
+        ),
+    ] = Path("runs/last"),
     fidelity: Annotated[
         Literal["full", "abstract"],
         typer.Option(help="Of a swarm: packets, odometry and tracking, or perception as a model."),
