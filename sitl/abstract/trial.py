@@ -119,9 +119,7 @@ class AbstractTrial:
         """
         termination = termination or TerminationSettings()
         self.law = follower.packed(method)
-        if course is None:
-            rng = np.random.default_rng(SeedSequence(scene.seed, spawn_key=(1,)))
-            course = plan_course(scene, leader or LeaderSettings(), rng)
+        course = course or leader_course(scene, leader)
         number = len(scene.starts_world)
         self._scene, self._course, self._method = scene, course, METHOD_IDS[method]
         self._most_steps = math.ceil(scene.timeout_s / CONTROL_STEP_S)
@@ -226,6 +224,12 @@ class AbstractTrial:
             perceived=known.astype(np.bool_),
             distances=rooms.copy(),
         )
+
+
+def leader_course(scene: SwarmScene, leader: LeaderSettings | None = None) -> Course:
+    """Return the leader's route in a scene; equal arguments give equal routes."""
+    rng = np.random.default_rng(SeedSequence(scene.seed, spawn_key=(1,)))
+    return plan_course(scene, leader or LeaderSettings(), rng)
 
 
 def _mean(sums: FloatArray, which: int, how_many: int) -> float:
