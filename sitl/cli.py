@@ -16,6 +16,7 @@ from sitl.bench_cli import app as bench_app
 from sitl.campaign_cli import campaign, trial
 from sitl.odometry_peer_cli import odometry_peer
 from sitl.swarm_cli import run_swarm
+from sitl.train_cli import train
 from sitl.tune_cli import tune
 from sitl.world_cli import world
 
@@ -43,6 +44,7 @@ app.command(
     epilog="Example: sitl trial runs/campaign --world pillars_5m --method flock --followers 4 --trial 17 "
     "--out trial_17.mcap"
 )(trial)
+app.command(epilog="Example: sitl train field_configs/train_best.yaml --minutes 10 --resume")(train)
 app.command(
     epilog="Example: sitl tune pacnav --target paper --budget 300 --out field_configs/follower_pacnav_T1.yaml"
 )(tune)

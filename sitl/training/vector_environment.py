@@ -1,0 +1,124 @@
+"""The swarms as `rsl_rl` knows environments: every follower is one of them."""
+
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+import numpy as np
+import torch
+from rsl_rl.env import VecEnv
+from tensordict import TensorDict
+
+from companion.control.observation import CONTRACTS
+from sitl.training.environment_results import EpisodeSummary, Observation, State, StepResult
+from sitl.training.networks import ACTIONS
+from sitl.training.reward_settings import TERMS
+
+
+class Batch(Protocol):
+    """A batch of swarms: `sitl.training.environment.SwarmBatch`, its twin on a GPU, or a test's."""
+
+    @property
+    def streams(self) -> int:
+        """How many followers there are in all swarms together."""
+        ...
+
+    def reset(self, update: int = 0) -> Observation:
+        """Begin every trial anew, in another way each round."""
+        ...
+
+    def step(self, velocity: Any) -> StepResult:
+        """Fly one step with velocities (streams, 3) float32, heading frame, m/s."""
+        ...
+
+    def state(self) -> State:
+        """Return everything that `restore` needs."""
+        ...
+
+    def restore(self, state: State) -> Observation:
+        """Go on from such a state."""
+        ...
+
+
+class VectorEnvironment(VecEnv):  # type: ignore[misc]  # rsl_rl carries no types
+    """Hands observations to the algorithm as copies, and adds up what a rollout's log says."""
+
+    def __init__(
+        self,
+        batch: Batch,
+        contract: str,
+        device: str = "cpu",
+        *,
+        channels: int = 2,
+        terms: Sequence[str] = TERMS,
+    ) -> None:
+        """Wrap a batch of swarms.
+
+        Args:
+            batch: the swarms.
+            contract: that its observations follow.
+            device: where the algorithm wants observations.
+            channels: of the grid that the network looks at, which are kept.
+            terms: names of the reward's terms, in the batch's order.
+        """
+        self.batch = batch
+        self.num_envs = batch.streams
+        self.num_actions = ACTIONS
+        self.max_episode_length = 1_000_000
+        self.episode_length_buf = torch.zeros(batch.streams, dtype=torch.long)
+        self.device = device
+        self.cfg: dict[str, Any] = {}
+        self._groups = [*CONTRACTS[contract].inputs, "privileged"]
+        self._terms = np.zeros(len(terms))
+        self._channels = channels
+        self._names = tuple(terms)
+        self._reward = 0.0
+        self._steps = 0
+        self._finished: list[EpisodeSummary] = []
+        self._now = self._copied(batch.reset())
+
+    def get_observations(self) -> TensorDict:
+        """Return what every stream sees now."""
+        return self._now
+
+    def step(
+        self, actions: torch.Tensor
+    ) -> tuple[TensorDict, torch.Tensor, torch.Tensor, dict[str, torch.Tensor]]:
+        """Fly one step with velocities (streams, 3) in the heading frame, m/s."""
+        velocity = actions.numpy() if self.device == "cpu" else actions
+        stepped = self.batch.step(velocity)
+        self._now = self._copied(stepped.observation)
+        reward, terminated, truncated = (
+            torch.as_tensor(array, device=self.device).clone()
+            for array in (stepped.reward, stepped.terminated, stepped.truncated)
+        )
+        self._terms += torch.as_tensor(stepped.terms).double().mean(0).cpu().numpy()
+        self._reward += float(reward.mean())
+        self._steps += 1
+        self._finished.extend(stepped.finished)
+        outs = truncated.bool() & ~terminated.bool()
+        return self._now, reward, terminated.bool() | truncated.bool(), {"time_outs": outs}
+
+    def tally(self) -> tuple[dict[str, float], list[EpisodeSummary]]:
+        """Return mean reward and unweighted terms since the last call, and the trials that ended."""
+        steps = max(self._steps, 1)
+        means = {"reward": self._reward / steps}
+        means |= {
+            f"term_{name}": float(sum_) / steps for name, sum_ in zip(self._names, self._terms, strict=True)
+        }
+        finished = self._finished
+        self._terms, self._reward, self._steps, self._finished = np.zeros_like(self._terms), 0.0, 0, []
+        return means, finished
+
+    def go_on(self, update: int, state: State | None) -> None:
+        """Go on after an update: exactly, from a state, or with trials that begin anew without one."""
+        self._now = self._copied(self.batch.reset(update) if state is None else self.batch.restore(state))
+
+    def _copied(self, seen: Observation) -> TensorDict:
+        """Return copies, because the batch writes the next step over its arrays."""
+        copies = {
+            name: torch.as_tensor(getattr(seen, name), device=self.device).clone()
+            for name in self._groups
+            if name != "grid"
+        }
+        copies["grid"] = torch.as_tensor(seen.grid[:, : self._channels], device=self.device).clone()
+        return TensorDict(copies, batch_size=[self.num_envs])
