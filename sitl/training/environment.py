@@ -115,16 +115,16 @@ class SwarmBatch:
         self._workers = workers
         self._pool = ThreadPoolExecutor(workers) if workers > 1 else None
 
-    def reset(self, round: int = 0) -> Observation:
-        """Begin all trials anew; equal rounds of equal batches are equal.
+    def reset(self, update: int = 0) -> Observation:
+        """Begin all trials anew; for equal numbers equal batches begin alike.
 
         A run that was interrupted after update k may go on with `reset(k)`, or exactly as it would have with
         `restore`. Stored crashes are forgotten.
 
         Args:
-            round: not negative; another number gives other trials.
+            update: not negative; another number gives other trials.
         """
-        self._rng = np.random.default_rng(SeedSequence((self._seed, round)))
+        self._rng = np.random.default_rng(SeedSequence((self._seed, update)))
         self._crashes = [CrashReplay(self.settings.replay) for _ in self._cohorts]
         for index, cohort in enumerate(self._cohorts):
             self._begin(index, np.arange(len(cohort)))
