@@ -255,7 +255,10 @@ def load_profile(path: Path | str) -> Profile:
         RejectedProfileError: if anything in it is wrong; the text names file, line, column, key, what was
             found and what is allowed.
     """
-    return load(path, Profile)
+    profile = load(path, Profile)
+    if profile.follower is None:
+        return profile
+    return profile.model_copy(update={"follower": profile.follower.located(Path(path).parent)})
 
 
 def profile_text(profile: Profile) -> str:

@@ -91,9 +91,19 @@ class RoleDecision(Protocol):
         """Nothing is left to do but to land."""
         ...
 
+    @property
+    def remarks(self) -> Sequence[StatusText]:
+        """What it has to tell."""
+        ...
+
 
 class Role(Protocol):
     """What the vehicle should do: leader or follower."""
+
+    @property
+    def counters(self) -> object | None:
+        """Counters for the log, fields of a slotted dataclass; None if it counts nothing."""
+        ...
 
     def meet(self, tracks: NeighbourTracks) -> None:
         """Learn where the others are; the scan that shows them follows."""
@@ -151,6 +161,11 @@ class Pipeline:
     def state(self) -> FlightState:
         """The supervisor's present state."""
         return self._supervisor.state
+
+    @property
+    def role_counters(self) -> object | None:
+        """What the role counts, None if nothing."""
+        return self._role.counters
 
     def handle(self, event: SensorEvent | ControlEvent) -> list[Output]:
         """Process one event completely; return what should happen, in order."""
@@ -311,6 +326,7 @@ class Pipeline:
                 reason = "role"
                 if decision.plan is not None:
                     outputs.append(decision.plan)
+                outputs.extend(decision.remarks)
                 self._finished = self._finished or decision.finished
         v_map = self._limiter.limit(v_wanted_map, float(odometry.p_map[2]), t_ns)
         # Braking rests on the decision to brake, not on old sensor data: its data are as new as the tick.

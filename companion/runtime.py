@@ -86,7 +86,7 @@ class Flight:
         self._flight_log = log
         self._period_ns = round(1e9 / profile.autopilot.setpoint_hz)
         self._schedule: DecisionSchedule | None = None  # while decisions are made
-        pipeline = assemble(profile)
+        pipeline = self._pipeline = assemble(profile, clock)
         session = Px4Session(profile.autopilot)
         self._exchange = Exchange(pipeline, session, log)
         self._link = Px4Link(profile.autopilot, session, clock, self._on_mavlink, self._exchange.starting)
@@ -283,6 +283,8 @@ class Flight:
         if self._external is not None:
             self._exchange.record_counters("external_odometry", self._external.statistics(), t_ns)
         self._exchange.record_link(t_ns)
+        if self._pipeline.role_counters is not None:
+            self._exchange.record_counters("policy", self._pipeline.role_counters, t_ns)
         self._exchange.record_counters("runtime", Backlog(self._perception.dropped, self._dropped), t_ns)
         self._flight_log.record(self._flight_log.status().statistics(t_ns), t_ns)
 

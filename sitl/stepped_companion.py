@@ -109,6 +109,8 @@ class SteppedCompanion:
             self._next_statistics_ns = t_ns + _STATISTICS_PERIOD_NS
             self._exchange.record_counters("lidar", self._receiver.statistics(), t_ns)
             self._exchange.record_link(t_ns)
+            if self._pipeline.role_counters is not None:
+                self._exchange.record_counters("policy", self._pipeline.role_counters, t_ns)
         return datagrams, self._send(messages, t_ns)
 
     def _send(self, messages: list[MavlinkMessage], t_ns: int) -> list[bytes]:

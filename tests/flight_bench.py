@@ -195,7 +195,7 @@ class Bench:
         metadata = FlightMetadata(vehicle="uav1", role="leader", mode="flight", configuration=GOOD)
         self.log = FlightLog(self.folder / "flight.mcap", LogSettings(), metadata, threaded=False)
 
-    def _assemble(self, profile: Profile) -> Pipeline:
+    def _assemble(self, profile: Profile, clock: SystemClock) -> Pipeline:
         return self.pipeline_type(
             estimator=self.estimator,
             tracker=NoTracker(),

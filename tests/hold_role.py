@@ -4,7 +4,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from companion.messages import NeighbourTracks, Odometry, PlanUpdate, RegisteredScan, VelocityCommand
+from companion.messages import (
+    NeighbourTracks,
+    Odometry,
+    PlanUpdate,
+    RegisteredScan,
+    StatusText,
+    VelocityCommand,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -14,10 +21,13 @@ class HoldDecision:
     command: VelocityCommand
     plan: PlanUpdate | None = None
     finished: bool = False
+    remarks: tuple[StatusText, ...] = ()
 
 
 class HoldRole:
     """Brakes and stays; never finishes by itself."""
+
+    counters = None
 
     def meet(self, tracks: NeighbourTracks) -> None:
         """Nobody near changes what a holding vehicle does."""

@@ -36,6 +36,7 @@ class Decision:
     command: VelocityCommand
     plan: PlanUpdate | None = None
     finished: bool = False
+    remarks: tuple[StatusText, ...] = ()
 
 
 @dataclass
@@ -46,6 +47,8 @@ class ForwardRole:
     finished: bool = False
     resets: int = 0
     broken: bool = False
+    counters: object | None = None
+    remarks: tuple[StatusText, ...] = ()
 
     def meet(self, tracks: NeighbourTracks) -> None: ...
 
@@ -54,7 +57,7 @@ class ForwardRole:
     def decide(self, odometry: Odometry, t_ns: int) -> Decision:
         if self.broken:
             raise ZeroDivisionError
-        return Decision(VelocityCommand(odometry.t_ns, self.wish, 0.0), None, self.finished)
+        return Decision(VelocityCommand(odometry.t_ns, self.wish, 0.0), None, self.finished, self.remarks)
 
     def reset(self, odometry: Odometry) -> None:
         self.resets += 1

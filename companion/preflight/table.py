@@ -45,6 +45,12 @@ def run_checks(
         ("core files", host.check_core_files),
         ("single instance", lambda: host.check_single_instance(directories.runtime)),
     ]
+    if profile.follower is not None and profile.follower.controller == "policy":
+        # Its runtime takes a moment to import, and most vehicles fly without.
+        from companion.preflight.policy import NAME, check_policy
+
+        follower = profile.follower
+        looks.append((NAME, lambda: check_policy(follower, clock)))
     external = profile.odometry.source == "external"
     if offline:
         names = (*HARDWARE, EXTERNAL_ODOMETRY) if external else HARDWARE

@@ -18,6 +18,7 @@ from companion.messages import (
     OdometryStatus,
     PlanUpdate,
     RegisteredScan,
+    StatusText,
     VelocityCommand,
 )
 
@@ -40,6 +41,7 @@ class LeaderDecision:
     command: VelocityCommand
     plan: PlanUpdate | None
     finished: bool
+    remarks: tuple[StatusText, ...] = ()
 
 
 class LeaderPlanner:
@@ -91,6 +93,11 @@ class LeaderPlanner:
         z_goal = self._mission.height(z)
         settings = self._settings.obstacle_map
         self._map.add(scan, min(z, z_goal) - settings.band_below_m, max(z, z_goal) + settings.band_above_m)
+
+    @property
+    def counters(self) -> None:
+        """Nothing is counted."""
+        return None
 
     def decide(self, odometry: Odometry, t_ns: int) -> LeaderDecision:
         """Say how to fly now.
