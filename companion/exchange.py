@@ -32,13 +32,18 @@ from companion.pipeline import Pipeline
 
 
 class Exchange:
-    """One vehicle's traffic between its parts."""
+    """One vehicle's traffic between its parts.
+
+    Attributes:
+        plan: the role's newest plan, None before the first.
+    """
 
     def __init__(self, pipeline: Pipeline, session: Px4Session, log: Recorder) -> None:
         """Join the parts."""
         self._pipeline = pipeline
         self._session = session
         self._log = log
+        self.plan: PlanUpdate | None = None
 
     @property
     def state(self) -> FlightState:
@@ -163,5 +168,6 @@ class Exchange:
                     self._session.withdraw_mode_request()
                     self._log.record(output, t_ns)
                 case PlanUpdate():
+                    self.plan = output
                     self._log.record(output, t_ns)
         return messages

@@ -51,14 +51,14 @@ class BodyTrajectory:
                 f"a trajectory needs k >= 2 times, (k, 3) positions and (k, 4) attitudes, got {k}, "
                 f"{self.p_world.shape}, {self.q_world_body.shape}"
             )
-        if np.any(np.diff(self.t_sensor_ns) <= 0):
+        times = self.t_sensor_ns
+        if (times[1:] <= times[:-1]).any():
             raise ValueError("times of a trajectory must increase")
 
     @classmethod
     def between(cls, t_start_ns: int, start: Kinematics, t_end_ns: int, end: Kinematics) -> "BodyTrajectory":
         """Return the trajectory of one simulation step."""
-        return cls(
-            t_sensor_ns=np.array([t_start_ns, t_end_ns], np.int64),
-            p_world=np.stack([start.p_world, end.p_world]),
-            q_world_body=np.stack([start.q_world_body, end.q_world_body]),
-        )
+        p_world, q_world_body = np.empty((2, 3)), np.empty((2, 4))
+        p_world[0], p_world[1] = start.p_world, end.p_world
+        q_world_body[0], q_world_body[1] = start.q_world_body, end.q_world_body
+        return cls(np.array([t_start_ns, t_end_ns], np.int64), p_world, q_world_body)

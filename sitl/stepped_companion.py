@@ -60,6 +60,12 @@ class SteppedCompanion:
         """The supervisor's present state."""
         return self._exchange.state
 
+    @property
+    def mission_over(self) -> bool:
+        """Whether a leader's pause at its last waypoint has ended, by its own account."""
+        plan = self._exchange.plan
+        return plan is not None and plan.status == "arrived"
+
     def lidar_statistics(self) -> LivoxStatistics:
         """Return what was received from the LiDAR."""
         return self._receiver.statistics()

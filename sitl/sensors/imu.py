@@ -15,8 +15,9 @@ from companion.geometry import rotation
 from companion.geometry.pose import Pose
 from companion.messages import FloatArray
 from companion.settings import Settings
+from sitl.array_layout import laid_out
 from sitl.kinematics import Kinematics
-from sitl.sensors.imu_kernels import average_inertial
+from sitl.sensors.imu_kernels import average_inertial, blur_inertial
 from sitl.sensors.vibration import Vibration, VibrationSettings
 from sitl.slots import InertialSlot
 from sitl.worlds.primitives import Vector
@@ -72,15 +73,12 @@ def true_inertial(start: Kinematics, end: Kinematics, step_s: float, T_body_imu:
     the samples with mid-step attitudes reproduces attitude and velocity.
     """
     inertial = np.empty(6)
-    # The kernel is compiled for one array layout, so every input is brought into it.
-    v_start, q_start, omega_start, v_end, q_end, omega_end, p_imu, q_imu = (
-        np.require(vector, np.float64, ["C", "W"])
-        for vector in (
-            start.v_world, start.q_world_body, start.omega_body,
-            end.v_world, end.q_world_body, end.omega_body, T_body_imu.p, T_body_imu.q,
-        )
+    average_inertial(
+        float(step_s),
+        laid_out(start.v_world), laid_out(start.q_world_body), laid_out(start.omega_body),
+        laid_out(end.v_world), laid_out(end.q_world_body), laid_out(end.omega_body),
+        laid_out(T_body_imu.p), laid_out(T_body_imu.q), inertial,
     )  # fmt: skip
-    average_inertial(step_s, v_start, q_start, omega_start, v_end, q_end, omega_end, p_imu, q_imu, inertial)
     return inertial
 
 
@@ -97,16 +95,17 @@ class ImuModel:
             [math.radians(settings.gyro_turn_on_bias_dps), settings.accel_turn_on_bias_mps2], 3
         )
         self._turn_on_bias = turn_on * rng.standard_normal(6)
-        self._instability = np.repeat(
+        instability = np.repeat(
             [math.radians(settings.gyro_bias_instability_dps), settings.accel_bias_instability_mps2], 3
         )
-        self._wander = self._instability * rng.standard_normal(6)
-        self._scale = 1.0 + settings.scale_error * rng.uniform(-1.0, 1.0, 6)
+        self._wander = instability * rng.standard_normal(6)
+        scale = 1.0 + settings.scale_error * rng.uniform(-1.0, 1.0, 6)
         densities = [settings.gyro_noise_radps_per_sqrt_hz, settings.accel_noise_mps2_per_sqrt_hz]
-        self._noise = np.repeat(densities, 3) * math.sqrt(settings.bandwidth_hz)
-        self._limit = np.repeat(
+        noise = np.repeat(densities, 3) * math.sqrt(settings.bandwidth_hz)
+        limit = np.repeat(
             [math.radians(settings.gyro_range_dps), settings.accel_range_g * _STANDARD_GRAVITY], 3
         )
+        self._errors = np.stack([self._turn_on_bias, instability, noise, scale, limit])
 
     @property
     def T_body_imu(self) -> Pose:
@@ -132,10 +131,10 @@ class ImuModel:
         """
         step_s = ns_to_seconds(t_end_ns - t_start_ns)
         truth = true_inertial(start, end, step_s, self._T_body_imu)
-        kept = math.exp(-step_s / self._settings.bias_time_s)
-        fresh = math.sqrt(1.0 - kept * kept)
-        self._wander = kept * self._wander + fresh * self._instability * self._rng.standard_normal(6)
-        noise = self._noise * self._rng.standard_normal(6)
-        measured = self._scale * (truth + self._vibration.step(step_s, thrust)) + self.bias + noise
-        measured = np.clip(measured, -self._limit, self._limit)
-        return InertialSlot(t_sensor_ns=t_end_ns, gyro_imu=measured[:3], accel_imu=measured[3:])
+        deviates = self._rng.standard_normal(12)
+        measured = np.empty((2, 3))
+        blur_inertial(
+            math.exp(-step_s / self._settings.bias_time_s),
+            self._errors, truth, self._vibration.step(step_s, thrust), deviates, self._wander, measured,
+        )  # fmt: skip
+        return InertialSlot(t_sensor_ns=t_end_ns, gyro_imu=measured[0], accel_imu=measured[1])

@@ -98,4 +98,8 @@ class Mid360Settings(Settings):
         parameters[kernels.HALO_PROBABILITY] = self.halo_probability
         parameters[kernels.HALO_SHARE] = self.halo_share
         parameters[kernels.GHOST_PROBABILITY] = self.ghost_probability
+        parameters[kernels.FOOTPRINT_RAD] = math.radians(self.beam_half_width_deg)
+        parameters[kernels.HALO_RAD] = math.radians(self.halo_half_width_deg)
+        parameters[kernels.MIRROR_PROBABILITY] = self.mirror_probability
+        parameters[kernels.MAX_RANGE_M] = self.max_range_m
         return parameters

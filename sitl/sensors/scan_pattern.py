@@ -29,10 +29,12 @@ class ScanPattern:
             self._nod_hz = float(archive["nod_hz"])
             self._rotor_order = int(archive["rotor_order"])
             self._nod_order = int(archive["nod_order"])
-            self._coefficients = np.ascontiguousarray(archive["coefficients"], dtype=np.float64)
+            coefficients = np.asarray(archive["coefficients"], dtype=np.float64)
         terms = (2 * self._rotor_order + 1) * (2 * self._nod_order + 1)
-        if self._coefficients.shape != (LINES, terms, 3):
-            raise ValueError(f"{_DATA_FILE}: coefficients {self._coefficients.shape} do not fit the orders")
+        if coefficients.shape != (LINES, terms, 3):
+            raise ValueError(f"{_DATA_FILE}: coefficients {coefficients.shape} do not fit the orders")
+        # One row a term, so that the kernel meets the terms of all lines next to each other.
+        self._coefficients = np.ascontiguousarray(coefficients.transpose(1, 0, 2).reshape(terms, 3 * LINES))
 
     @property
     def rotor_hz(self) -> float:

@@ -8,6 +8,7 @@ from pydantic import Field
 
 from companion.messages import FloatArray
 from companion.settings import Settings
+from sitl.sensors.imu_kernels import shake, turn_rotors
 
 _ROTORS = 4
 _HARMONIC_AMPLITUDES = np.array([1.0, 0.5])
@@ -46,7 +47,8 @@ class Vibration:
         mixing = rng.standard_normal((6, _ROTORS, 2)) * _HARMONIC_AMPLITUDES
         # A sine of amplitude a has the power a^2 / 2; every component gets unit power in total.
         power = 0.5 * np.sum(mixing**2, axis=(1, 2), keepdims=True)
-        self._mixing = mixing / np.sqrt(power)
+        self._mixing = (mixing / np.sqrt(power)).reshape(6, -1)
+        self._phases = np.empty((_ROTORS, 2))
         self._rms = np.repeat([settings.gyro_rms_radps, settings.accel_rms_mps2], 3)
 
     def step(self, step_s: float, thrust: float) -> FloatArray:
@@ -58,11 +60,12 @@ class Vibration:
                 the thrust itself.
         """
         level = max(thrust, 0.0) / _HOVER_THRUST
-        rotor_hz = self._settings.rotor_hover_hz * math.sqrt(level) * self._speed_ratio
-        self._turns = (self._turns + step_s * rotor_hz) % 1.0
-        phases = np.stack([self._turns, 2.0 * self._turns], axis=1) + self._offsets
-        tones = np.sum(self._mixing * np.sin(2.0 * math.pi * phases), axis=(1, 2))
-        share = self._settings.harmonic_share
-        shaking = math.sqrt(share) * tones + math.sqrt(1.0 - share) * self._rng.standard_normal(6)
-        vibration: FloatArray = level * self._rms * shaking
+        settings = self._settings
+        rotor_hz = settings.rotor_hover_hz * math.sqrt(level) * self._speed_ratio
+        turn_rotors(float(step_s), rotor_hz, self._turns, self._offsets, self._phases)
+        vibration = np.empty(6)
+        shake(
+            level, settings.harmonic_share, self._mixing, np.sin(self._phases), self._rms,
+            self._rng.standard_normal(6), vibration,
+        )  # fmt: skip
         return vibration

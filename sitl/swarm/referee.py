@@ -56,8 +56,6 @@ class SwarmReferee:
         self._boot_ns = boot_ns
         self._obstacles = scene.world.obstacles()
         self._firsts, self._seconds = np.triu_indices(len(scene.starts_world), k=1)
-        self._waypoint = 0
-        self._judged_ns: int | None = None
         self._p: list[FloatArray] = []
         self._v: list[FloatArray] = []
         self._t_ns = boot_ns
@@ -185,20 +183,17 @@ class SwarmReferee:
             self.stop("failsafe", gone)
         elif ns_to_seconds(self._t_ns) - seen_s > rules.leader_unseen_s:
             self.stop("leader_lost", (0,))
-        elif self._arrived(now):
-            apart = np.linalg.norm(now.p_world - now.p_world[0], axis=1)
-            far = np.flatnonzero(apart > rules.gathered_m)
-            self.stop("scattered" if len(far) else "success", tuple(far.tolist()))
+        elif now.mission_over:
+            self._judge_arrival(now)
         elif self.trial_s >= self._scene.timeout_s:
-            self.stop("timeout")
+            self.stop("timeout", (0,))
 
-    def _arrived(self, now: Table) -> bool:
-        """Follow the leader along its waypoints; return whether its pause at the last one is over."""
-        scene = self._scene
-        distance = np.linalg.norm(now.p_world[0] - scene.waypoints_world[self._waypoint])
-        near = distance < self._rules.goal_tolerance_m
-        if near and self._waypoint < len(scene.waypoints_world) - 1:
-            self._waypoint += 1
-        elif near and self._judged_ns is None:
-            self._judged_ns = self._t_ns + seconds_to_ns(float(scene.holds_s[-1]))
-        return bool(near) and self._judged_ns is not None and self._t_ns >= self._judged_ns
+    def _judge_arrival(self, now: Table) -> None:
+        """The leader's pause is over: at the goal, with everybody near it, or not."""
+        rules = self._rules
+        if np.linalg.norm(now.p_world[0] - self._scene.waypoints_world[-1]) > rules.goal_tolerance_m:
+            self.stop("timeout", (0,))
+            return
+        apart = np.linalg.norm(now.p_world - now.p_world[0], axis=1)
+        far = np.flatnonzero(apart > rules.gathered_m)
+        self.stop("scattered" if len(far) else "success", tuple(far.tolist()))

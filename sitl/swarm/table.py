@@ -15,7 +15,8 @@ COLLISIONS = 11
 STATE = 12
 READY = 13
 LEADER_SEEN_S = 14
-WIDTH = 15
+MISSION_OVER = 15
+WIDTH = 16
 
 NEVER_S = -1.0
 STATES = tuple(FlightState)
@@ -71,3 +72,8 @@ class Table:
     def leader_seen_s(self) -> float:
         """Host time of the newest scan in which a follower knew where the leader is; NEVER_S before any."""
         return float(self.rows[1:, LEADER_SEEN_S].max())
+
+    @property
+    def mission_over(self) -> bool:
+        """The leader's pause at its goal has ended, by its own account."""
+        return bool(self.rows[0, MISSION_OVER] > 0.0)

@@ -23,6 +23,7 @@ from sitl.swarm.start import StartSignal, swarm_operator
 from sitl.swarm.table import (
     COLLISIONS,
     LEADER_SEEN_S,
+    MISSION_OVER,
     NEVER_S,
     READY,
     STATE,
@@ -164,6 +165,7 @@ class Member:
         row[STATE] = STATE_NUMBERS[self.state]
         row[READY] = self._signal.ready and self._knows_somebody()
         row[LEADER_SEEN_S] = NEVER_S if self._sight is None else self._sight.seen_s
+        row[MISSION_OVER] = self._vehicle.companion.mission_over
         return row
 
     def _knows_somebody(self) -> bool:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from companion.messages import FloatArray
+from sitl.worlds.casting_kernels import turn_rods
 from sitl.worlds.primitives import Primitive, World
 from sitl.worlds.raycast_kernels import BOX, CAPSULE, CYLINDER, PLANE, SPHERE
 
@@ -89,8 +90,8 @@ class Bodies:
         self._spinning_body = np.array([b for b, _ in spinning], np.intp)
         self._spinning = np.array([k for _, k in spinning], np.intp)
         rods = self._rows[self._spinning]
-        self._half = 0.5 * rods[:, 6:7]
-        self._hubs = rods[:, :3] + self._half * rods[:, _AXIS]
+        self._half = 0.5 * rods[:, 6]
+        self._hubs = rods[:, :3] + self._half[:, None] * rods[:, _AXIS]
         self._headings = np.arctan2(rods[:, 4], rods[:, 3])
 
     def __len__(self) -> int:
@@ -125,10 +126,8 @@ class Bodies:
 
     def _turned(self, turns: FloatArray) -> FloatArray:
         angles = self._headings + turns[self._spinning_body]
-        axes = np.stack([np.cos(angles), np.sin(angles), np.zeros(len(angles))], axis=1)
         rows = self._rows.copy()
-        rows[self._spinning, :3] = self._hubs - self._half * axes
-        rows[self._spinning, _AXIS] = axes
+        turn_rods(self._spinning, self._hubs, self._half, np.cos(angles), np.sin(angles), rows)
         return rows
 
 

@@ -14,7 +14,7 @@ from companion.compiled import compiled, inlined
 from companion.messages import FloatArray
 from sitl.worlds.raycast_kernels import SECTORS, outward_normal, ray_primitive, sector_of, sector_span
 
-_RAYS_PER_BATCH = 1024
+RAYS_PER_BATCH = 1024
 _CULLING_MARGIN_M = 1e-6
 
 
@@ -67,6 +67,121 @@ def cast_at_body(
     return nearest, hit, min(abs(nx * ex + ny * ey + nz * ez), 1.0)
 
 
+@compiled("void(int64[::1], float64[:, ::1], float64[::1], float64[::1], float64[::1], float64[:, ::1])")
+def turn_rods(
+    numbers: np.ndarray[tuple[int], np.dtype[np.int64]],
+    hubs: FloatArray,
+    half_lengths: FloatArray,
+    cosines: FloatArray,
+    sines: FloatArray,
+    rows: FloatArray,
+) -> None:
+    """Turn level rods about their middles.
+
+    Args:
+        numbers: (s,) of the rods.
+        hubs: (s, 3) their middles.
+        half_lengths: (s,) half of their lengths, m.
+        cosines: (s,) of their headings.
+        sines: (s,) of their headings.
+        rows: (m, 8) of all primitives, changed in place.
+    """
+    for i in range(numbers.shape[0]):
+        row, half = rows[numbers[i]], half_lengths[i]
+        row[0], row[1], row[2] = hubs[i, 0] - half * cosines[i], hubs[i, 1] - half * sines[i], hubs[i, 2]
+        row[3], row[4], row[5] = cosines[i], sines[i], 0.0
+
+
+@inlined
+def list_candidates(
+    origins: FloatArray, start: int, end: int, discs: FloatArray, poses: FloatArray, max_range: float
+) -> tuple[
+    FloatArray, np.ndarray[tuple[int], np.dtype[np.int64]], np.ndarray[tuple[int], np.dtype[np.int32]]
+]:
+    """Return what rays from `origins[start:end]` can meet, by horizontal sector, nearest first.
+
+    Returns:
+        (things,) least horizontal distance of each fixed primitive and body; (SECTORS + 1,) where each
+        sector's candidates begin; the candidates' numbers.
+    """
+    n_fixed = discs.shape[0]
+    n_things = n_fixed + poses.shape[0]
+    gaps = np.empty(n_things)
+    firsts = np.empty(n_things, np.int64)
+    spans = np.empty(n_things, np.int64)
+    low_x, high_x = origins[start, 0], origins[start, 0]
+    low_y, high_y = origins[start, 1], origins[start, 1]
+    for i in range(start + 1, end):
+        low_x, high_x = min(low_x, origins[i, 0]), max(high_x, origins[i, 0])
+        low_y, high_y = min(low_y, origins[i, 1]), max(high_y, origins[i, 1])
+    centre_x, centre_y = 0.5 * (low_x + high_x), 0.5 * (low_y + high_y)
+    spread = 0.5 * math.hypot(high_x - low_x, high_y - low_y) + _CULLING_MARGIN_M
+
+    offsets = np.zeros(SECTORS + 1, np.int64)
+    for k in range(n_things):
+        if k < n_fixed:
+            x, y, radius = discs[k, 0], discs[k, 1], discs[k, 2]
+        else:
+            x, y, radius = poses[k - n_fixed, 0], poses[k - n_fixed, 1], poses[k - n_fixed, 7]
+        x, y, radius = x - centre_x, y - centre_y, radius + spread
+        distance = math.hypot(x, y)
+        gaps[k] = max(distance - radius, 0.0)
+        spans[k] = 0
+        if gaps[k] <= max_range:
+            firsts[k], spans[k] = sector_span(x, y, distance, radius)
+        for sector in range(firsts[k], firsts[k] + spans[k]):
+            offsets[(sector & (SECTORS - 1)) + 1] += 1
+    for sector in range(SECTORS):
+        offsets[sector + 1] += offsets[sector]
+    candidates = np.empty(offsets[SECTORS], np.int32)
+    filled = offsets[:SECTORS].copy()
+    for k in np.argsort(gaps):
+        for sector in range(firsts[k], firsts[k] + spans[k]):
+            candidates[filled[sector & (SECTORS - 1)]] = k
+            filled[sector & (SECTORS - 1)] += 1
+    return gaps, offsets, candidates
+
+
+@inlined
+def nearest_hit(
+    ox: float, oy: float, oz: float, dx: float, dy: float, dz: float,
+    gaps: FloatArray,
+    offsets: np.ndarray[tuple[int], np.dtype[np.int64]],
+    candidates: np.ndarray[tuple[int], np.dtype[np.int32]],
+    n_fixed: int,
+    kinds: np.ndarray[tuple[int], np.dtype[np.int32]],
+    rows: FloatArray,
+    bodies: np.ndarray[tuple[int, int], np.dtype[np.int32]],
+    poses: FloatArray,
+    max_range: float,
+) -> tuple[float, int, float]:  # fmt: skip
+    """Return (range, primitive, cosine of incidence) of one ray's nearest hit; infinity, -1, 0 if none."""
+    horizontal = math.sqrt(dx * dx + dy * dy)
+    best, reach, hit, cosine = max_range, max_range * horizontal, -1, 0.0
+    sector = sector_of(dx, dy)
+    for slot in range(offsets[sector], offsets[sector + 1]):
+        k = candidates[slot]
+        if gaps[k] > reach:
+            break
+        if k < n_fixed:
+            t = ray_primitive(kinds[k], rows[k], ox, oy, oz, dx, dy, dz)
+            if t < best:
+                best, reach, hit = t, t * horizontal, k
+        else:
+            b = k - n_fixed
+            t, part, c = cast_at_body(
+                poses[b], bodies[b, 0], bodies[b, 1], kinds, rows, ox, oy, oz, dx, dy, dz, best
+            )
+            if part >= 0:
+                best, reach, hit, cosine = t, t * horizontal, part, c
+    if hit < 0:
+        return math.inf, -1, 0.0
+    if hit < n_fixed:
+        nx, ny, nz = outward_normal(kinds[hit], rows[hit], ox + best * dx, oy + best * dy, oz + best * dz)
+        cosine = min(abs(nx * dx + ny * dy + nz * dz), 1.0)
+    return best, hit, cosine
+
+
 @compiled(
     "void(float64[:, ::1], float64[:, ::1], int32[::1], float64[:, ::1], float64[:, ::1], int32[:, ::1], "
     "float64[:, ::1], float64, float64[::1], int32[::1], float64[::1])"
@@ -104,73 +219,12 @@ def cast_rays(
         indices: (n,) out, primitive hit, -1 without a hit.
         cosines: (n,) out, absolute cosine of the angle of incidence, 0 without a hit.
     """
-    n_fixed = discs.shape[0]
-    n_things = n_fixed + bodies.shape[0]
-    gaps = np.empty(n_things)
-    firsts = np.empty(n_things, np.int64)
-    spans = np.empty(n_things, np.int64)
-    for start in range(0, origins.shape[0], _RAYS_PER_BATCH):
-        end = min(start + _RAYS_PER_BATCH, origins.shape[0])
-        low_x, high_x = origins[start, 0], origins[start, 0]
-        low_y, high_y = origins[start, 1], origins[start, 1]
-        for i in range(start + 1, end):
-            low_x, high_x = min(low_x, origins[i, 0]), max(high_x, origins[i, 0])
-            low_y, high_y = min(low_y, origins[i, 1]), max(high_y, origins[i, 1])
-        centre_x, centre_y = 0.5 * (low_x + high_x), 0.5 * (low_y + high_y)
-        spread = 0.5 * math.hypot(high_x - low_x, high_y - low_y) + _CULLING_MARGIN_M
-
-        offsets = np.zeros(SECTORS + 1, np.int64)
-        for k in range(n_things):
-            if k < n_fixed:
-                x, y, radius = discs[k, 0], discs[k, 1], discs[k, 2]
-            else:
-                x, y, radius = poses[k - n_fixed, 0], poses[k - n_fixed, 1], poses[k - n_fixed, 7]
-            x, y, radius = x - centre_x, y - centre_y, radius + spread
-            distance = math.hypot(x, y)
-            gaps[k] = max(distance - radius, 0.0)
-            spans[k] = 0
-            if gaps[k] <= max_range:
-                firsts[k], spans[k] = sector_span(x, y, distance, radius)
-            for sector in range(firsts[k], firsts[k] + spans[k]):
-                offsets[(sector & (SECTORS - 1)) + 1] += 1
-        for sector in range(SECTORS):
-            offsets[sector + 1] += offsets[sector]
-        candidates = np.empty(offsets[SECTORS], np.int32)
-        filled = offsets[:SECTORS].copy()
-        for k in np.argsort(gaps):
-            for sector in range(firsts[k], firsts[k] + spans[k]):
-                candidates[filled[sector & (SECTORS - 1)]] = k
-                filled[sector & (SECTORS - 1)] += 1
-
+    for start in range(0, origins.shape[0], RAYS_PER_BATCH):
+        end = min(start + RAYS_PER_BATCH, origins.shape[0])
+        gaps, offsets, candidates = list_candidates(origins, start, end, discs, poses, max_range)
         for i in range(start, end):
-            ox, oy, oz = origins[i, 0], origins[i, 1], origins[i, 2]
-            dx, dy, dz = directions[i, 0], directions[i, 1], directions[i, 2]
-            horizontal = math.sqrt(dx * dx + dy * dy)
-            best, reach, hit, cosine = max_range, max_range * horizontal, -1, 0.0
-            sector = sector_of(dx, dy)
-            for slot in range(offsets[sector], offsets[sector + 1]):
-                k = candidates[slot]
-                if gaps[k] > reach:
-                    break
-                if k < n_fixed:
-                    t = ray_primitive(kinds[k], rows[k], ox, oy, oz, dx, dy, dz)
-                    if t < best:
-                        best, reach, hit = t, t * horizontal, k
-                else:
-                    b = k - n_fixed
-                    t, part, c = cast_at_body(
-                        poses[b], bodies[b, 0], bodies[b, 1], kinds, rows, ox, oy, oz, dx, dy, dz, best
-                    )
-                    if part >= 0:
-                        best, reach, hit, cosine = t, t * horizontal, part, c
-            indices[i] = hit
-            if hit < 0:
-                ranges[i], cosines[i] = math.inf, 0.0
-                continue
-            ranges[i] = best
-            if hit < n_fixed:
-                nx, ny, nz = outward_normal(
-                    kinds[hit], rows[hit], ox + best * dx, oy + best * dy, oz + best * dz
-                )
-                cosine = min(abs(nx * dx + ny * dy + nz * dz), 1.0)
-            cosines[i] = cosine
+            ranges[i], indices[i], cosines[i] = nearest_hit(
+                origins[i, 0], origins[i, 1], origins[i, 2],
+                directions[i, 0], directions[i, 1], directions[i, 2],
+                gaps, offsets, candidates, discs.shape[0], kinds, rows, bodies, poses, max_range,
+            )  # fmt: skip

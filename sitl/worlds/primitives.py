@@ -14,6 +14,7 @@ from pydantic import Field, Strict, model_validator
 
 from companion.messages import ByteArray, FloatArray
 from companion.settings import Settings
+from sitl.array_layout import laid_out
 from sitl.worlds.casting_kernels import cast_rays
 from sitl.worlds.clearance_kernels import find_contacts, measure_clearances
 from sitl.worlds.raycast_kernels import BOX, CAPSULE, CYLINDER, PLANE, SPHERE
@@ -121,11 +122,6 @@ def _row_of(primitive: Ground | Sphere | Cylinder | Capsule | Box) -> tuple[int,
     reach = 0.5 * length * math.hypot(ux, uy) + primitive.radius_m
     kind = CAPSULE if isinstance(primitive, Capsule) else CYLINDER
     return kind, (x, y, z, ux, uy, uz, length, primitive.radius_m), (mx, my, reach)
-
-
-def _for_kernel(vectors: ArrayLike) -> FloatArray:
-    """Return the one array layout the kernels are compiled for."""
-    return np.require(vectors, np.float64, ["C", "W"])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -239,8 +235,8 @@ class World:
 
     def cast(self, origins_world: ArrayLike, directions_world: ArrayLike, max_range_m: float) -> Hits:
         """Return the nearest hits of rays from origins (n, 3) along unit directions (n, 3)."""
-        origins = _for_kernel(origins_world)
-        directions = _for_kernel(directions_world)
+        origins = laid_out(origins_world)
+        directions = laid_out(directions_world)
         if origins.shape != directions.shape or origins.ndim != 2 or origins.shape[1] != 3:
             raise ValueError(f"origins {origins.shape} and directions {directions.shape} must both be (n, 3)")
         hits = Hits(np.empty(len(origins)), np.empty(len(origins), np.int32), np.empty(len(origins)))
@@ -253,7 +249,7 @@ class World:
     def clearance(self, points_world: ArrayLike) -> FloatArray:
         """Return the signed distance (...) from points (..., 3) to the nearest surface, negative inside."""
         points = np.asarray(points_world, dtype=np.float64)
-        flat = _for_kernel(points.reshape(-1, 3))
+        flat = laid_out(points.reshape(-1, 3))
         distances, indices = np.empty(len(flat)), np.empty(len(flat), np.int32)
         measure_clearances(
             flat, self.kinds, self.rows, self.discs, self.bodies, self.poses, distances, indices
@@ -272,7 +268,7 @@ class World:
         )
         fractions = np.empty(starts[..., 0].size)
         find_contacts(
-            _for_kernel(starts.reshape(-1, 3)), _for_kernel(ends.reshape(-1, 3)),
+            laid_out(starts.reshape(-1, 3)), laid_out(ends.reshape(-1, 3)),
             float(radius_m), _CONTACT_TOLERANCE_M, self.kinds, self.rows, self.discs,
             self.bodies, self.poses, fractions,
         )  # fmt: skip

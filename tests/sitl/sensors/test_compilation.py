@@ -7,7 +7,7 @@ import pytest
 
 from companion.geometry.pose import Pose
 from sitl.kinematics import BodyTrajectory, Kinematics
-from sitl.sensors import imu_kernels, ranging_kernels, return_kernels, scan_kernels
+from sitl.sensors import imu_kernels, measuring_kernels, scan_kernels
 from sitl.sensors.imu import ImuModel, ImuSettings
 from sitl.sensors.mid360 import Mid360Model, Mid360Settings
 from sitl.worlds import casting_kernels, clearance_kernels
@@ -15,13 +15,14 @@ from sitl.worlds.primitives import Ground, World
 
 KERNELS = [
     casting_kernels.cast_rays,
+    measuring_kernels.measure_slots,
     clearance_kernels.measure_clearances,
     clearance_kernels.find_contacts,
     scan_kernels.evaluate_directions,
-    ranging_kernels.place_beams,
-    return_kernels.find_mirrors,
-    return_kernels.form_returns,
     imu_kernels.average_inertial,
+    imu_kernels.blur_inertial,
+    imu_kernels.turn_rotors,
+    imu_kernels.shake,
 ]
 
 

@@ -9,7 +9,18 @@ from companion.messages import FlightState
 from sitl.dynamics import STEP_NS
 from sitl.swarm.referee import PREPARATION_S, SwarmReferee, TrialNames
 from sitl.swarm.settings import TerminationSettings
-from sitl.swarm.table import COLLISIONS, LEADER_SEEN_S, READY, STATE, STATE_NUMBERS, WIDTH, P, Q, Table
+from sitl.swarm.table import (
+    COLLISIONS,
+    LEADER_SEEN_S,
+    MISSION_OVER,
+    READY,
+    STATE,
+    STATE_NUMBERS,
+    WIDTH,
+    P,
+    Q,
+    Table,
+)
 from tests.sitl.swarm.small_swarm import scene
 
 BOOT_NS = 1_000_000_000
@@ -94,8 +105,10 @@ def test_success_is_judged_when_the_pause_at_the_goal_ends() -> None:
     trial = Trial()
     trial.start()
     trial.fly_to_goal()
-    assert not trial.referee.over
     trial.step(0.6)
+    assert not trial.referee.over
+    trial.rows[0, MISSION_OVER] = 1.0
+    trial.step()
     record = trial.referee.record(NAMES)
     assert record.end == "success"
     assert record.mission_progress_percent == 100.0
@@ -110,9 +123,20 @@ def test_a_follower_left_behind_makes_the_swarm_scattered() -> None:
     trial.start()
     trial.fly_to_goal()
     trial.move(2, [-4.0, 0.0, 1.5])
+    trial.rows[0, MISSION_OVER] = 1.0
     record = trial.step(0.6).record(NAMES)
     assert (record.end, record.ended_by) == ("scattered", (2,))
     assert record.mission_progress_percent < 100.0
+
+
+def test_a_leader_that_ends_its_mission_elsewhere_has_not_arrived() -> None:
+    trial = Trial()
+    trial.start()
+    trial.fly_to_goal()
+    trial.move(0, trial.scene.waypoints_world[-1] - [1.1, 0.0, 0.0])
+    trial.rows[0, MISSION_OVER] = 1.0
+    record = trial.step().record(NAMES)
+    assert (record.end, record.ended_by) == ("timeout", (0,))
 
 
 @pytest.mark.parametrize(
