@@ -26,6 +26,7 @@ from companion.messages import (
     Setpoint,
     StateChange,
     StatusText,
+    Surroundings,
     Tick,
 )
 from companion.pipeline import Pipeline
@@ -169,5 +170,7 @@ class Exchange:
                     self._log.record(output, t_ns)
                 case PlanUpdate():
                     self.plan = output
+                    self._log.record(output, t_ns)
+                case Surroundings():
                     self._log.record(output, t_ns)
         return messages

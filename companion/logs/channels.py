@@ -6,6 +6,8 @@ from enum import Enum
 from companion.logs.records import (
     CloudView,
     FrameSummary,
+    GivenNeighbours,
+    GridView,
     PathView,
     QueuePlace,
     RuntimeCall,
@@ -88,6 +90,8 @@ SETPOINT = Channel("/setpoint", Setpoint, _JSON, "companion.Setpoint", 50)
 MODE_REQUEST = Channel("/mode_request", ModeRequest, _JSON, "companion.ModeRequest", 0)
 STATE = Channel("/state", StateChange, _JSON, "companion.StateChange", 0)
 PLAN = Channel("/plan", PlanUpdate, _JSON, "companion.PlanUpdate", 5)
+GIVEN = Channel("/follower/neighbours", GivenNeighbours, _JSON, "companion.GivenNeighbours", 10)
+GRID = Channel("/follower/grid", GridView, _JSON, "companion.ObstacleGrid", 10)
 LOG = Channel("/log", StatusText, _FOXGLOVE, "foxglove.Log", 0)
 POSE = Channel("/pose", StampedPose, _FOXGLOVE, "foxglove.PoseInFrame", 50)
 PATH = Channel("/path", PathView, _FOXGLOVE, "foxglove.PosesInFrame", 5)
@@ -116,6 +120,8 @@ CHANNELS: tuple[Channel, ...] = (
     MODE_REQUEST,
     STATE,
     PLAN,
+    GIVEN,
+    GRID,
     LOG,
     POSE,
     PATH,

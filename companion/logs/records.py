@@ -72,6 +72,62 @@ class ScanMark:
     nearest_m: float
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class GivenNeighbour:
+    """Another UAV as a follower's law was given it, in the own heading frame.
+
+    Attributes:
+        track_id: number of its track.
+        p_heading: relative position, (3,) m.
+        v_heading: relative velocity, (3,) m/s.
+        age_s: time since it was last seen.
+    """
+
+    track_id: int
+    p_heading: FloatArray
+    v_heading: FloatArray
+    age_s: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GivenNeighbours:
+    """The neighbours that a follower's law was given, at its first decision after a scan.
+
+    Attributes:
+        t_ns: host time of the decision.
+        t_valid_ns: host time for which positions hold.
+        neighbours: nearest first.
+    """
+
+    t_ns: int
+    t_valid_ns: int
+    neighbours: tuple[GivenNeighbour, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class GridView:
+    """The obstacle grid that a follower's law was given, a byte a cell.
+
+    Attributes:
+        t_ns: host time of the decision.
+        t_scan_ns: host time of the scan from which it was made.
+        yaw_map: heading in which it was made, rad.
+        azimuths: cells around; the first begins straight ahead, and they go on to the left.
+        elevations: cells from the lowest to the highest.
+        resolution_m: range of one step.
+        cells: Base64 of one byte for each cell, elevations fastest: whole steps of range, rounded down, up
+            to 254; 255 where nothing is.
+    """
+
+    t_ns: int
+    t_scan_ns: int
+    yaw_map: float
+    azimuths: int
+    elevations: int
+    resolution_m: float
+    cells: str
+
+
 @dataclass(frozen=True, slots=True)
 class FrameSummary:
     """What a LiDAR frame consisted of, without its points.

@@ -10,7 +10,16 @@ from companion.logs import channels
 from companion.logs.log_queue import LogEntry
 from companion.logs.obstacle_view import GROUND_CLEARANCE_M, ObstacleView
 from companion.logs.reader import FlightRecording, Integrity
-from companion.logs.records import CloudView, FrameSummary, ScanMark, StampedPose, Statistics
+from companion.logs.records import (
+    CloudView,
+    FrameSummary,
+    GivenNeighbours,
+    GridView,
+    ScanMark,
+    StampedPose,
+    Statistics,
+)
+from companion.logs.views import ranges_of
 from companion.messages import (
     Authorisation,
     FloatArray,
@@ -41,6 +50,8 @@ _WANTED = (
     channels.CLOUD,
     channels.MODE_REQUEST,
     channels.AUTHORISATION,
+    channels.GIVEN,
+    channels.GRID,
 )
 
 Event = StateChange | StatusText | ModeRequest | Authorisation
@@ -124,6 +135,8 @@ class FlightData:
     marks: Table = field(default_factory=lambda: Table("t nearest"))
     frames: Table = field(default_factory=lambda: Table("t packets expected offset_ms"))
     lidar: Table = field(default_factory=lambda: Table("t packets lost offset_ms"))
+    given: Table = field(default_factory=lambda: Table("t count nearest"))
+    grids: Table = field(default_factory=lambda: Table("t nearest"))
     modes: list[tuple[float, VehicleMode]] = field(default_factory=list)
     landed: list[tuple[float, LandedState]] = field(default_factory=list)
     states: list[StateChange] = field(default_factory=list)
@@ -181,6 +194,11 @@ def _take(data: FlightData, entry: LogEntry) -> None:
             _take_vehicle(data, message)
         case ScanMark() as message:
             data.marks.add(data.seconds(message.t_ns), message.nearest_m)
+        case GivenNeighbours() as message:
+            ranges = [float(np.linalg.norm(other.p_heading)) for other in message.neighbours]
+            data.given.add(data.seconds(message.t_ns), len(ranges), min(ranges, default=np.nan))
+        case GridView() as message:
+            _take_grid(data, message)
         case FrameSummary() as message:
             offset_ms = message.clock_offset_ns * 1e-6
             data.frames.add(data.seconds(message.t_ns), message.packets, message.packets_expected, offset_ms)
@@ -229,6 +247,14 @@ def _take_cloud(data: FlightData, message: CloudView) -> None:
         height = data.odometry.last("z")
         if height - data.odometry.first("z") >= GROUND_CLEARANCE_M:
             data.obstacles.add(message.points_map, height)
+
+
+def _take_grid(data: FlightData, message: GridView) -> None:
+    try:
+        nearest = float(ranges_of(message).min(initial=np.inf))
+    except ValueError:
+        return
+    data.grids.add(data.seconds(message.t_ns), nearest if np.isfinite(nearest) else np.nan)
 
 
 def _take_statistics(data: FlightData, message: Statistics) -> None:

@@ -34,6 +34,7 @@ def compute(data: FlightData) -> tuple[Numbers, Comparison | None]:
         "motion": _motion(data),
         "goal": _goal(data),
         "obstacles": _obstacles(data),
+        "surroundings": _surroundings(data),
         "failsafes": _failsafes(data),
         "control": _control(data),
         "lidar": _lidar(data),
@@ -103,6 +104,25 @@ def _airborne_s(data: FlightData) -> float | None:
     if not len(data.vehicle):
         return None
     return sum(p.end_s - p.start_s for p in airborne_phases(data) if p.label == "in the air")
+
+
+def _surroundings(data: FlightData) -> Numbers | None:
+    """Return what a follower's law was given; None where the log holds none of it."""
+    if not len(data.given) and not len(data.grids):
+        return None
+    counts = data.given["count"]
+    return {
+        "neighbours_mean": float(counts.mean()) if len(counts) else None,
+        "neighbours_least": int(counts.min()) if len(counts) else None,
+        "alone_share": float(np.mean(counts == 0)) if len(counts) else None,
+        "nearest_neighbour_m": _least(data.given["nearest"]),
+        "nearest_obstacle_m": _least(data.grids["nearest"]),
+    }
+
+
+def _least(values: FloatArray) -> float | None:
+    known = values[np.isfinite(values)]
+    return float(known.min()) if len(known) else None
 
 
 def _comparison(data: FlightData) -> Comparison | None:

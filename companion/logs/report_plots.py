@@ -44,6 +44,7 @@ def plots(data: FlightData, comparison: Comparison | None) -> list[Plot]:
         _top_view(data, comparison),
         _height(data, comparison),
         *(_velocity(data, axis) for axis in "xyz"),
+        _surroundings(data),
         _error(comparison, data),
         _health(data),
         _latency(data),
@@ -194,6 +195,26 @@ def _velocity(data: FlightData, axis: str) -> Plot | None:
         "z": "Velocity upwards.",
     }[axis]
     return Plot(f"velocity_{axis}", f"Velocity {axis}", caption, _timed(data, traces, f"{name} (map), m/s"))
+
+
+def _surroundings(data: FlightData) -> Plot | None:
+    if not len(data.given) and not len(data.grids):
+        return None
+    traces = []
+    if len(data.given):
+        t = data.given["t"]
+        traces.append(_line("neighbours", t, data.given["count"], style.TRUTH, width=1.2, yaxis="y2"))
+        traces[-1]["line"]["shape"] = "hv"
+        traces.append(_line("nearest neighbour", t, data.given["nearest"], style.ESTIMATE))
+    if len(data.grids):
+        traces.append(
+            _line("nearest obstacle", data.grids["t"], data.grids["nearest"], style.OBSTACLE, width=1.2)
+        )
+    figure = _timed(data, traces, "range, m")
+    figure["layout"]["yaxis"]["rangemode"] = "tozero"
+    figure["layout"]["yaxis2"] = style.second_axis("neighbours")
+    caption = "What the follower's law was given: how many neighbours, and how near the nearest things were."
+    return Plot("surroundings", "Neighbours and obstacles", caption, figure)
 
 
 def _broken(t: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -1,5 +1,6 @@
 """Which channels a message goes to, and what is kept of the large ones."""
 
+import base64
 import math
 
 import numpy as np
@@ -10,6 +11,9 @@ from companion.logs.channels import Channel
 from companion.logs.records import (
     CloudView,
     FrameSummary,
+    GivenNeighbour,
+    GivenNeighbours,
+    GridView,
     PathView,
     QueuePlace,
     RuntimeCall,
@@ -20,6 +24,7 @@ from companion.logs.records import (
 )
 from companion.messages import (
     ControlEvent,
+    FloatArray,
     LidarScan,
     Odometry,
     OdometryStatus,
@@ -27,11 +32,15 @@ from companion.messages import (
     PlanUpdate,
     RegisteredScan,
     SensorEvent,
+    Surroundings,
 )
 
 Recordable = ControlEvent | Output | SensorEvent | Statistics | QueuePlace | RuntimeCall | UnsentMessages
 
 LEVEL_BAND_M = 0.5
+GRID_STEP_M = 0.05
+FARTHEST_CELL = 254
+EMPTY_CELL = 255
 
 _SIMPLE: dict[type, Channel] = {
     channel.message_type: channel
@@ -69,6 +78,8 @@ def views_of(message: Recordable) -> list[tuple[Channel, object]]:
         return [(channels.LIDAR_FRAMES, summary_of(message))]
     if isinstance(message, PlanUpdate):
         return [(channels.PLAN, message), (channels.PATH, PathView(message.t_ns, message.path_map))]
+    if isinstance(message, Surroundings):
+        return [(channels.GIVEN, given_of(message)), (channels.GRID, grid_of(message))]
     channel = _SIMPLE.get(type(message))
     if channel is None:
         raise TypeError(f"no channel for a {type(message).__name__}")
@@ -88,6 +99,42 @@ def cloud_of(scan: RegisteredScan, points_max: int) -> CloudView:
     """Return every k-th point of a registered scan, at most `points_max`."""
     step = max(1, -(-len(scan.points_map) // points_max))
     return CloudView(scan.t_ns, scan.points_map[::step].copy(), scan.reflectivity[::step].copy())
+
+
+def given_of(seen: Surroundings) -> GivenNeighbours:
+    """Return the neighbours that there were."""
+    others = seen.neighbours
+    rows = tuple(
+        GivenNeighbour(int(others.track_ids[row]), state[0:3], state[3:6], float(others.ages_s[row]))
+        for row, state in enumerate(others.states_heading)
+        if state[6] > 0.0
+    )
+    return GivenNeighbours(seen.t_ns, others.t_ns, rows)
+
+
+def grid_of(seen: Surroundings) -> GridView:
+    """Return the obstacle grid with a byte for each cell."""
+    known = np.isfinite(seen.ranges)
+    farthest_m = float(seen.ranges[known].max(initial=0.0))
+    resolution_m = max(GRID_STEP_M, farthest_m / FARTHEST_CELL)
+    steps = np.full(seen.ranges.shape, EMPTY_CELL, np.uint8)
+    steps[known] = np.minimum(seen.ranges[known] / resolution_m, FARTHEST_CELL)
+    azimuths, elevations = seen.ranges.shape
+    cells = base64.b64encode(steps.tobytes()).decode("ascii")
+    return GridView(seen.t_ns, seen.t_scan_ns, seen.yaw_map, azimuths, elevations, resolution_m, cells)
+
+
+def ranges_of(view: GridView) -> FloatArray:
+    """Return the ranges (azimuths, elevations) of a recorded grid, m, to within its resolution.
+
+    Raises:
+        ValueError: if there are not as many cells as it says.
+    """
+    cells = np.frombuffer(base64.b64decode(view.cells, validate=True), np.uint8)
+    if view.azimuths < 0 or view.elevations < 0 or len(cells) != view.azimuths * view.elevations:
+        raise ValueError(f"{len(cells)} cells in a grid of {view.azimuths} x {view.elevations}")
+    ranges = np.where(cells == EMPTY_CELL, np.inf, cells * view.resolution_m)
+    return ranges.reshape(view.azimuths, view.elevations)
 
 
 class CloudSampler:

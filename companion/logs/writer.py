@@ -40,6 +40,8 @@ class LogSettings(Settings):
     """Record decoded IMU samples; the raw LiDAR datagrams already contain them."""
     mavlink: bool = True
     """Record every MAVLink message sent and received; a log without them cannot be replayed."""
+    surroundings: bool = True
+    """Record neighbours and obstacle grid as a follower's law was given them (about 10 kB/s)."""
     odometry_hz: float | None = Field(default=None, gt=0.0, le=1000.0)
     """Largest number of recorded odometry estimates per second, where all are too much; a change of their
     status is always recorded. A log that leaves some out cannot be replayed."""
@@ -131,6 +133,8 @@ class FlightLog:
                 (channels.IMU, settings.imu),
                 (channels.MAVLINK_RX, settings.mavlink),
                 (channels.MAVLINK_TX, settings.mavlink),
+                (channels.GIVEN, settings.surroundings),
+                (channels.GRID, settings.surroundings),
             )
             if not on
         }

@@ -29,6 +29,7 @@ from companion.messages.neighbours import (
     Neighbours,
     NeighbourTrack,
     NeighbourTracks,
+    Surroundings,
 )
 from companion.messages.sensing import (
     Datagram,
@@ -46,7 +47,7 @@ from companion.messages.vehicle import (
 SensorEvent = ImuSample | LidarScan | ExternalOdometry
 PerceptionUpdate = Odometry | RegisteredScan | NeighbourTracks
 ControlEvent = Odometry | RegisteredScan | NeighbourTracks | VehicleState | Authorisation | Tick
-Output = Setpoint | ModeRequest | Odometry | StateChange | StatusText | PlanUpdate
+Output = Setpoint | ModeRequest | Odometry | StateChange | StatusText | PlanUpdate | Surroundings
 
 __all__ = [
     "Authorisation",
@@ -77,6 +78,7 @@ __all__ = [
     "Severity",
     "StateChange",
     "StatusText",
+    "Surroundings",
     "Tick",
     "VehicleMode",
     "VehicleState",

@@ -71,3 +71,22 @@ class Neighbours:
     states_heading: FloatArray
     covariances_heading: FloatArray
     ages_s: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Surroundings:
+    """What a follower's law was given of others and of obstacles.
+
+    Attributes:
+        t_ns: host time of the decision.
+        neighbours: the others.
+        t_scan_ns: host time of the scan from which the grid was made.
+        yaw_map: heading in which it was made, rad.
+        ranges: (azimuths, elevations) nearest range in every cell, m; infinite where nothing is.
+    """
+
+    t_ns: int
+    neighbours: Neighbours
+    t_scan_ns: int
+    yaw_map: float
+    ranges: FloatArray

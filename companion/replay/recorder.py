@@ -42,6 +42,8 @@ DECISIONS = (
     channels.MODE_REQUEST,
     channels.STATE,
     channels.PLAN,
+    channels.GIVEN,
+    channels.GRID,
     channels.LOG,
 )
 
@@ -84,7 +86,12 @@ class ReplayRecorder:
         """
         self.sent = SentComparison(channels.MAVLINK_TX) if decisions else None
         compared = PERCEPTION + (DECISIONS if decisions else ())
-        switches = ((channels.CLOUD.topic, settings.clouds), (channels.IMU.topic, settings.imu))
+        switches = (
+            (channels.CLOUD.topic, settings.clouds),
+            (channels.IMU.topic, settings.imu),
+            (channels.GIVEN.topic, settings.surroundings),
+            (channels.GRID.topic, settings.surroundings),
+        )
         self._off = {topic for topic, on in switches if not on}
         self._named: dict[str, Comparison] = {
             channel.topic: NamedComparison(

@@ -33,6 +33,7 @@ from companion.messages import (
     OdometryStatus,
     RegisteredScan,
     StatusText,
+    Surroundings,
     VelocityCommand,
 )
 
@@ -73,7 +74,7 @@ class FollowerDecision:
     command: VelocityCommand
     plan: None = None
     finished: bool = False
-    remarks: tuple[StatusText, ...] = ()
+    remarks: tuple[StatusText | Surroundings, ...] = ()
 
 
 class FollowerRole:
@@ -113,6 +114,7 @@ class FollowerRole:
         self._decided_ns: int | None = None
         self._alone_since_ns = 0
         self._up = np.zeros(3)
+        self._seen_scan: tuple[int, float] | None = None
 
     @property
     def counters(self) -> PolicyCounters | None:
@@ -146,9 +148,9 @@ class FollowerRole:
             self._view.observe(tracks, odometry)
         else:
             tracks = None
-        self._ranges = self._grid.ranges(
-            scan, tracks, odometry.p_map, float(rotation.yaw_of(odometry.q_map_body))
-        )
+        yaw = float(rotation.yaw_of(odometry.q_map_body))
+        self._ranges = self._grid.ranges(scan, tracks, odometry.p_map, yaw)
+        self._seen_scan = (scan.t_ns, yaw)
 
     def decide(self, odometry: Odometry, t_ns: int) -> FollowerDecision:
         """Say how to fly now.
@@ -159,7 +161,7 @@ class FollowerRole:
 
         Returns:
             A finite command that holds the heading; zero without a trustworthy odometry, and at first after
-            `reset`.
+            `reset`. The first after each scan tells what the law was given.
         """
         if not _usable(odometry):
             # What follows starts from standstill, as after `reset`: that is what is commanded now.
@@ -176,13 +178,16 @@ class FollowerRole:
             self._alone_since_ns = t_ns
         yaw = self._describe_self(odometry, t_ns)
         v_heading = np.zeros(3)
-        remarks: tuple[StatusText, ...] = ()
+        remarks: tuple[StatusText | Surroundings, ...] = ()
         if self._learned is not None:
             self._learned.begin(self._memory)
         steer(self._method, self._ego, rows, self._ranges, self._memory, self._parameters, v_heading)
         if self._learned is not None:
             self._learned.overrule(self._ego, self._up, rows, self._ranges, self._memory, v_heading, t_ns)
             remarks = self._learned.remarks()
+        if self._seen_scan is not None:
+            remarks = (*remarks, Surroundings(t_ns, seen, *self._seen_scan, self._ranges.copy()))
+            self._seen_scan = None
         self._decided_ns = t_ns
         return _decision(odometry, np.asarray(rotation.rotate(rotation.from_yaw(yaw), v_heading)), remarks)
 
@@ -209,6 +214,7 @@ class FollowerRole:
         self._view.clear()
         self._tracks = None
         self._ranges = self._free
+        self._seen_scan = None
 
 
 def _rows(seen: Neighbours) -> FloatArray:
@@ -230,6 +236,6 @@ def _usable(odometry: Odometry) -> bool:
 
 
 def _decision(
-    odometry: Odometry, v_map: FloatArray, remarks: tuple[StatusText, ...] = ()
+    odometry: Odometry, v_map: FloatArray, remarks: tuple[StatusText | Surroundings, ...] = ()
 ) -> FollowerDecision:
     return FollowerDecision(VelocityCommand(odometry.t_ns, v_map, 0.0), remarks=remarks)

@@ -14,7 +14,7 @@ from companion.control.followers.role import FollowerRole
 from companion.control.followers.settings import FollowerSettings
 from companion.control.observation import Observation
 from companion.control.policy import load_policy
-from companion.messages import Float32Array, FloatArray
+from companion.messages import Float32Array, FloatArray, StatusText
 from companion.perception.neighbours import NeighbourSettings, NeighbourView
 from companion.perception.occupancy import GridSettings, ObstacleGrid
 from tests.control.followers.situations import Follower, drawn, others, own
@@ -127,11 +127,13 @@ def test_the_pilot_is_told_now_and_then_not_every_tick() -> None:
     follower.reset(odometry(START_NS))
     for tick in range(300):
         t_ns = START_NS + tick * TICK_NS
-        told += [(tick, remark.text) for remark in follower.decide(odometry(t_ns), t_ns).remarks]
+        remarks = follower.decide(odometry(t_ns), t_ns).remarks
+        told += [(tick, remark.text) for remark in remarks if isinstance(remark, StatusText)]
     assert told == [(tick, "policy gives no velocity: the law flies") for tick in (0, 250)]
     strange = learned_role(Pilot(FakePolicy(lambda seen: np.zeros((1, 3), np.float32), unusual=1)))
     strange.reset(odometry(START_NS))
-    texts = [remark.text for remark in strange.decide(odometry(START_NS), START_NS).remarks]
+    remarks = strange.decide(odometry(START_NS), START_NS).remarks
+    texts = [remark.text for remark in remarks if isinstance(remark, StatusText)]
     assert texts == ["policy sees what it hardly knows"]
     assert all(len(text) <= 50 for text in texts)
 

@@ -12,6 +12,7 @@ from companion.messages import (
     Odometry,
     OdometryStatus,
     RegisteredScan,
+    Surroundings,
 )
 from companion.perception.neighbours import NeighbourSettings, NeighbourView
 from companion.perception.occupancy import GridSettings, ObstacleGrid
@@ -197,3 +198,25 @@ def test_equal_flights_give_equal_bytes() -> None:
         return b"".join(commands)
 
     assert flight() == flight()
+
+
+def test_what_the_law_was_given_is_told_once_for_every_scan() -> None:
+    follower = role()
+    now_ns = START_NS
+    wall = np.array([[0.0, 3.0, 1.5], [0.0, 3.05, 1.5]])
+    told: list[list[Surroundings]] = []
+    for sequence in range(3):
+        show(follower, now_ns, sequence, track((2.0, 0.0, 1.5), now_ns), points=wall)
+        for _ in range(5):
+            now_ns += TICK_NS
+            remarks = follower.decide(odometry(now_ns), now_ns).remarks
+            told.append([remark for remark in remarks if isinstance(remark, Surroundings)])
+    assert [len(remarks) for remarks in told] == [1, 0, 0, 0, 0] * 3
+    [seen] = told[5]
+    assert (seen.t_ns, seen.t_scan_ns) == (START_NS + 6 * TICK_NS, START_NS + 5 * TICK_NS)
+    assert seen.neighbours.states_heading[0, :3] == pytest.approx([2.0, 0.0, 0.0], abs=1e-6)
+    assert seen.ranges.shape == (72, 12)
+    assert seen.ranges.min() == pytest.approx(3.0, abs=1e-6)
+    kept = seen.ranges.copy()
+    show(follower, now_ns, 3)
+    assert np.array_equal(seen.ranges, kept)
