@@ -32,6 +32,7 @@ from companion.messages import (
     Severity,
     StateChange,
     StatusText,
+    Surroundings,
     Tick,
     VehicleMode,
     VehicleState,
@@ -92,7 +93,7 @@ class RoleDecision(Protocol):
         ...
 
     @property
-    def remarks(self) -> Sequence[StatusText]:
+    def remarks(self) -> Sequence[StatusText | Surroundings]:
         """What it has to tell."""
         ...
 
