@@ -2,8 +2,8 @@
 
 Rollout storage, bootstrapping at time-outs and the advantage estimate are the library's. Different are:
 values keep their own scale (`FollowerCritic`), the critic learns alone at first, actor and critic have rates
-of their own, and every minibatch is split into shards whose gradients are computed on threads side by side and
-added in order: results depend on the number of shards, never on the number of threads.
+of their own, and every minibatch is split into shards whose gradients are computed on threads side by side
+and added in order: results depend on the number of shards, never on the number of threads.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -48,6 +48,7 @@ class ShardedPpo(PPO):  # type: ignore[misc]  # rsl_rl carries no types
 
     actor: FollowerActor
     critic: FollowerCritic
+    learning_rate: float
 
     def __init__(
         self,

@@ -58,33 +58,26 @@ class ActorEncoder(nn.Module):
 
 
 class CriticEncoder(nn.Module):
-    """Features for the critic, which knows the truth as well.
+    """Features for the critic: the truth, and of what is seen the nearest surface in every direction.
 
-    Obstacles are the nearest surface of every azimuth, which is enough beside the truth and costs a fraction.
+    The truth holds the leader and the nearest others already, so neither needs an encoder: this critic costs a
+    tenth of the actor.
     """
 
-    def __init__(self, contract: Contract, settings: NetworkSettings, privileged: int) -> None:
+    def __init__(self, contract: Contract, privileged: int) -> None:
         """Make the encoder; `privileged` is how many numbers of truth there are."""
         super().__init__()
-        self.azimuths = AzimuthEncoder(2 if contract.memory[0] else 1, (16, 16), nn.ELU())
-        width = min(32, settings.neighbour_width)
-        self.neighbours = NeighbourEncoder(contract.neighbours[1], width, _PRESENT, nn.ELU())
         self.truth = EmpiricalNormalization(privileged)
-        self.features = self.azimuths.features + self.neighbours.features + contract.ego[0] + privileged
+        self.features = contract.grid[1] + contract.memory[0] + contract.ego[0] + privileged
 
     def forward(
-        self,
-        ego: torch.Tensor,
-        neighbours: torch.Tensor,
-        grid: torch.Tensor,
-        memory: torch.Tensor | None,
-        privileged: torch.Tensor,
+        self, ego: torch.Tensor, grid: torch.Tensor, memory: torch.Tensor | None, privileged: torch.Tensor
     ) -> torch.Tensor:
         """Return (batch, features)."""
         nearest = grid[:, 0].amax(-1)
-        columns = torch.stack([nearest] if memory is None else [nearest, memory], -1)
         truth = self.truth(privileged).clamp(-10.0, 10.0)
-        return torch.cat([self.azimuths(columns), self.neighbours(neighbours), ego, truth], -1)
+        seen = (nearest, ego, truth) if memory is None else (nearest, memory, ego, truth)
+        return torch.cat(seen, -1)
 
 
 class FollowerActor(MLPModel):  # type: ignore[misc]  # rsl_rl carries no types
@@ -181,7 +174,7 @@ class FollowerCritic(MLPModel):  # type: ignore[misc]
     ) -> None:
         """Make the critic; with `shared` it looks through that actor's encoder and has none itself."""
         privileged = int(obs["privileged"].shape[-1])
-        encoder = None if shared is not None else CriticEncoder(CONTRACTS[contract], settings, privileged)
+        encoder = None if shared is not None else CriticEncoder(CONTRACTS[contract], privileged)
         self._features = shared._features if shared is not None else encoder.features if encoder else 0
         hidden = [256] if settings.kind == "paper" else list(settings.critic_hidden)
         super().__init__(obs, obs_groups, obs_set, output_dim, hidden, "elu")
@@ -213,11 +206,11 @@ class FollowerCritic(MLPModel):  # type: ignore[misc]
         """Return the features of observations and truth."""
         actor = self._shared[0]
         if actor is not None:
-            return actor.get_latent(obs)
+            shared: torch.Tensor = actor.get_latent(obs)
+            return shared
         assert self.encoder is not None
         memory = obs["memory"] if self.has_memory else None
-        seen = (obs["ego"], obs["neighbours"], obs["grid"], memory, obs["privileged"])
-        features: torch.Tensor = self.encoder(*seen)
+        features: torch.Tensor = self.encoder(obs["ego"], obs["grid"], memory, obs["privileged"])
         return features
 
     def scaled(self, latent: torch.Tensor) -> torch.Tensor:
