@@ -8,6 +8,7 @@ from companion.logs import report_style as style
 from companion.logs.figure_page import Figure, FigureBox
 from sitl.campaign import paper_numbers as paper
 from sitl.campaign.cases import FAILURES, MEANS, SUCCESS, CaseSummary
+from sitl.campaign.plots_published import proposed_marks, published_line, published_marks
 from sitl.campaign.tables import failure_title
 from sitl.campaign.tables_labels import (
     METRIC_TITLES,
@@ -31,7 +32,6 @@ COLOURS = (
     "#4d7c0f",
     "#475569",
 )
-_PAPER = "#94a3b8"
 _FAILURES = {
     SUCCESS: "#bbf7d0",
     "uav_uav": style.RED,
@@ -54,7 +54,8 @@ def figure_boxes(cases: Sequence[CaseSummary], labels: Labels) -> list[FigureBox
         FigureBox(
             "success",
             "Success rate by world",
-            "Bars with 95 % Wilson intervals; grey diamonds: the paper's number for the same method.",
+            "Bars with 95 % Wilson intervals. Grey diamonds: the paper's number for the same method; hollow: "
+            "that of its learned policy.",
             success_by_world(cases, labels),
             wide=True,
         )
@@ -121,41 +122,15 @@ def success_by_world(cases: Sequence[CaseSummary], labels: Labels) -> Figure:
                 "hovertemplate": "%{x}: %{y:.1f} %<extra>" + _safe(name) + "</extra>",
             }
         )
-        traces += _published_marks(method, followers, here, labels, str(index))
+        traces += published_marks(method, followers, here, labels, str(index))
+    if any(case.followers == 4 for case in cases):
+        traces += proposed_marks([method for method, _, _ in groups], worlds, labels)
     layout = style.layout(x_title="", y_title="success rate, %", height=420, barmode="group")
     layout["scattermode"] = "group"
     layout["legend"] = {"x": 1.01, "y": 1, "font": {"size": 11}}
     layout["xaxis"] |= _in_order(worlds)
     layout["yaxis"]["range"] = [0, 105]
     return {"data": traces, "layout": layout}
-
-
-def _published_marks(
-    method: str, followers: int, worlds: Sequence[str], labels: Labels, group: str
-) -> list[Figure]:
-    """Return the paper's numbers for the same method, over the bars of ours."""
-    known = labels.method(method)
-    if followers != 4 or known not in paper.METHODS:
-        return []
-    found = [
-        (world_title(world), value.mean)
-        for world in worlds
-        if (value := paper.COMPARISON.get(("SR", known, labels.site(world) or ""))) is not None
-    ]
-    marker = {"symbol": "diamond", "size": 10, "color": _PAPER, "line": {"color": "#334155", "width": 1}}
-    return [
-        {
-            "type": "scatter",
-            "mode": "markers",
-            "name": "paper",
-            "x": [world for world, _ in found],
-            "y": [value for _, value in found],
-            "marker": marker,
-            "offsetgroup": group,
-            "showlegend": False,
-            "hovertemplate": "%{x}: %{y:.1f} %<extra>paper</extra>",
-        }
-    ]
 
 
 def success_by_size(cases: Sequence[CaseSummary], labels: Labels) -> Figure:
@@ -178,7 +153,7 @@ def success_by_size(cases: Sequence[CaseSummary], labels: Labels) -> Figure:
         ]
         if known:
             dash = ("dash", "dot", "dashdot")[index % 3]
-            traces.append(_published_line(f"paper, {world_title(world)}", known, dash))
+            traces.append(published_line(f"paper, {world_title(world)}", known, dash))
     layout = style.layout(x_title="followers", y_title="success rate, %", height=400)
     layout["yaxis"]["range"] = [0, 105]
     return {"data": traces, "layout": layout}
@@ -209,7 +184,7 @@ def success_by_neighbours(cases: Sequence[CaseSummary], labels: Labels) -> Figur
             if site == labels.site(world)
         ]
         if known and followers == 10:
-            mark = _published_line(f"paper, {world_title(world)}", known, "dot")
+            mark = published_line(f"paper, {world_title(world)}", known, "dot")
             traces.append(mark | {"mode": "markers", "marker": {"symbol": "x", "size": 9, "color": colour}})
     layout = style.layout(x_title="observable neighbours", y_title="success rate, %", height=400)
     layout["yaxis"]["range"] = [0, 105]
@@ -312,7 +287,16 @@ def _sizes(cases: Sequence[CaseSummary]) -> dict[tuple[str, str, str], set[int]]
 
 
 def _in_order(worlds: Sequence[str]) -> dict[str, Any]:
-    return {"categoryorder": "array", "categoryarray": [world_title(world) for world in worlds]}
+    titles = [world_title(world) for world in worlds]
+    # Long titles in two lines side by side, rather than turned or over each other.
+    broken = [title.replace(", ", ",<br>", 1) if ", " in title else _halved(title) for title in titles]
+    order = {"categoryorder": "array", "categoryarray": titles, "tickangle": 0 if len(titles) <= 6 else 40}
+    return order | {"tickmode": "array", "tickvals": titles, "ticktext": broken}
+
+
+def _halved(title: str) -> str:
+    first, space, rest = title.partition(" ")
+    return f"{first}<br>{rest}" if space else title
 
 
 def _group(case: CaseSummary) -> _Group:
@@ -355,18 +339,6 @@ def _line(name: str, x: Sequence[int] | Sequence[str], cases: Sequence[CaseSumma
         "y": [round(case.SR, 3) for case in cases],
         "error_y": _interval(cases) | {"color": colour},
         "line": {"color": colour, "width": 2},
-    }
-
-
-def _published_line(name: str, points: Sequence[tuple[int, float]], dash: str) -> Figure:
-    return {
-        "type": "scatter",
-        "mode": "lines+markers",
-        "name": name,
-        "x": [x for x, _ in points],
-        "y": [y for _, y in points],
-        "line": {"color": _PAPER, "width": 1.6, "dash": dash},
-        "marker": {"symbol": "diamond", "size": 7},
     }
 
 

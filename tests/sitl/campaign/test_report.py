@@ -94,11 +94,12 @@ def test_a_folder_that_is_not_there_is_one_sentence(tmp_path: Path) -> None:
 def test_bars_carry_wilson_intervals_and_the_papers_marks() -> None:
     records = campaign(("pillars_5m",), ("pacnav",), trials=10)
     [case] = summarise(records)
-    bar, mark = success_by_world([case], Labels.of(DEFINITION))["data"]
+    bar, mark, proposed = success_by_world([case], Labels.of(DEFINITION))["data"]
     assert bar["y"] == [pytest.approx(case.SR)]
     assert bar["y"][0] - bar["error_y"]["arrayminus"][0] == pytest.approx(case.SR_ci95[0], abs=2e-3)
     assert bar["y"][0] + bar["error_y"]["array"][0] == pytest.approx(case.SR_ci95[1], abs=2e-3)
     assert mark["y"] == [82.0]
+    assert (proposed["name"], proposed["y"]) == ("paper, Proposed", [97.0])
 
 
 def test_sizes_and_neighbours_are_drawn_where_they_vary() -> None:
