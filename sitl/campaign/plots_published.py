@@ -55,7 +55,12 @@ def proposed_marks(methods: Sequence[str], worlds: Sequence[str], labels: Labels
             "name": f"paper, {method_title(paper.PROPOSED)}",
             "x": [world for world, _ in found],
             "y": [value for _, value in found],
-            "marker": {"symbol": "diamond-open", "size": 10, "color": "#334155"},
+            "marker": {
+                "symbol": "diamond",
+                "size": 9,
+                "color": "white",
+                "line": {"color": "#334155", "width": 1.5},
+            },
         }
     ]
 
