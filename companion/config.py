@@ -19,6 +19,7 @@ from companion.control.followers.layout_kernels import (
 )
 from companion.control.followers.settings import FollowerSettings
 from companion.control.leader.settings import LeaderSettings
+from companion.control.model_file import pinned
 from companion.drivers.external_odometry_settings import ExternalOdometrySettings
 from companion.drivers.livox_settings import LivoxSettings
 from companion.drivers.px4_settings import Px4Settings
@@ -248,7 +249,7 @@ class Profile(Settings):
 
 
 def load_profile(path: Path | str) -> Profile:
-    """Read a vehicle's profile.
+    """Read a vehicle's profile; if it names a learned model, the result names its hash as well.
 
     Raises:
         MissingProfileError: if there is no such file.
@@ -258,7 +259,7 @@ def load_profile(path: Path | str) -> Profile:
     profile = load(path, Profile)
     if profile.follower is None:
         return profile
-    return profile.model_copy(update={"follower": profile.follower.located(Path(path).parent)})
+    return profile.model_copy(update={"follower": pinned(profile.follower.located(Path(path).parent))})
 
 
 def profile_text(profile: Profile) -> str:

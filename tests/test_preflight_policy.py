@@ -105,3 +105,7 @@ def test_a_configuration_from_a_log_names_the_same_file(profile: Path, tmp_path:
     (copy / "uav7.yaml").write_text(profile_text(loaded), encoding="utf-8")
     assert load_profile(copy / "uav7.yaml") == loaded
     assert assemble(loaded).role_counters is not None
+    # Another model of the same name is not taken for the one that flew.
+    save(tmp_path / "models" / "a.onnx", offset=(0.1, 0.0, 0.0))
+    with pytest.raises(ModelError, match=r"sha256 [0-9a-f]{64}, the profile wants [0-9a-f]{64}"):
+        assemble(load_profile(copy / "uav7.yaml"))

@@ -1,6 +1,5 @@
 """Learned models: loading with every check that can be made on the ground, and inference on one core."""
 
-import hashlib
 from pathlib import Path
 from typing import Any
 
@@ -8,15 +7,13 @@ import numpy as np
 import onnxruntime
 
 from companion.control import policy_metadata
-from companion.control.followers.settings import SHIPPED_MODEL, FollowerSettings
+from companion.control.followers.settings import FollowerSettings
+from companion.control.model_file import model_path, read_model
 from companion.control.observation import CONTRACTS, OUTPUT, Contract, Observation
 from companion.control.policy_metadata import PRESENT_COLUMN, RANGED, PolicyMetadata
 from companion.errors import ModelError
 from companion.messages import Float32Array
 
-MODELS = Path(__file__).parents[1] / "models"
-_SHIPPED_NAME = "follower.onnx"
-_MAX_BYTES = 64_000_000
 _FLOAT32 = "tensor(float)"
 _WARM_UP_RUNS = 20
 _HASH_SHOWN = 12
@@ -122,8 +119,7 @@ def read_policy(path: Path, sha256: str | None = None) -> Policy:
     Raises:
         ModelError: if there is none, or its hash, contract or shapes are others than wanted.
     """
-    data = _bytes_of(path)
-    found = hashlib.sha256(data).hexdigest()
+    data, found = read_model(path)
     if sha256 is not None and found != sha256:
         raise ModelError(f"{path}: sha256 {found}, the profile wants {sha256}")
     options = onnxruntime.SessionOptions()
@@ -140,24 +136,6 @@ def read_policy(path: Path, sha256: str | None = None) -> Policy:
     metadata = policy_metadata.read(str(path), entries)
     _check_ports(path, session, CONTRACTS[metadata.contract])
     return Policy(session, path, found, metadata)
-
-
-def model_path(settings: FollowerSettings) -> Path:
-    """Return the file of the configured model."""
-    return MODELS / _SHIPPED_NAME if settings.model == SHIPPED_MODEL else Path(settings.model)
-
-
-def _bytes_of(path: Path) -> bytes:
-    if not path.is_file():
-        raise ModelError(f"{path}: no such model")
-    try:
-        with path.open("rb") as file:
-            data = file.read(_MAX_BYTES + 1)
-    except OSError as error:
-        raise ModelError(f"{path}: cannot be read: {error.strerror}") from None
-    if len(data) > _MAX_BYTES:
-        raise ModelError(f"{path}: larger than {_MAX_BYTES} bytes, which no follower's model is")
-    return data
 
 
 def _check_ports(path: Path, session: onnxruntime.InferenceSession, contract: Contract) -> None:

@@ -12,6 +12,7 @@ import companion
 import sitl
 from companion.config import Profile, load_profile
 from companion.control.followers.settings import FollowerSettings
+from companion.control.model_file import pinned
 from companion.errors import LogError, ProfileError
 from companion.settings import Settings
 from sitl.abstract.settings import AbstractSettings
@@ -227,18 +228,7 @@ def _gains(entry: MethodEntry, folder: Path) -> FollowerSettings:
             f"{folder / str(entry.parameters)}: follower.controller: found {follower.controller!r}, "
             f"allowed {LEARNED!r} for a method that was learned"
         )
-    return _pinned(follower)
-
-
-def _pinned(follower: FollowerSettings) -> FollowerSettings:
-    """Return settings that fly no other model than the one that is there now."""
-    # The runtime of learned models takes a moment to import, and most campaigns fly without.
-    from companion.control.policy import model_path
-
-    path = model_path(follower)
-    if follower.model_sha256 is not None or not path.is_file():
-        return follower
-    return follower.model_copy(update={"model_sha256": hashlib.sha256(path.read_bytes()).hexdigest()})
+    return pinned(follower)
 
 
 def _first_difference(at: str, now: Any, before: Any) -> str | None:

@@ -9,8 +9,9 @@ import pytest
 pytest.importorskip("onnx")
 
 from companion.control.followers.settings import FollowerSettings, with_gains
+from companion.control.model_file import MODELS, model_path, pinned
 from companion.control.observation import CONTRACTS, Observation
-from companion.control.policy import MODELS, load_policy, model_path, read_policy
+from companion.control.policy import load_policy, read_policy
 from companion.control.policy_metadata import read
 from companion.errors import ModelError
 from tests.control.models import COMMIT, CONFIGURATION_SHA256, metadata, save, with_entry
@@ -93,6 +94,19 @@ def test_another_hash_is_refused_with_both(tmp_path: Path) -> None:
     text = refusal(flying(path, model_sha256=64 * "0"))
     assert f"sha256 {found}, the profile wants {64 * '0'}" in text
     assert load_policy(flying(path, model_sha256=found)).sha256 == found
+
+
+def test_what_is_pinned_flies_no_other_model(tmp_path: Path) -> None:
+    path = save(tmp_path / "a.onnx")
+    settings = pinned(flying(path))
+    before = hashlib.sha256(path.read_bytes()).hexdigest()
+    assert settings.model_sha256 == before
+    save(path, offset=(0.1, 0.0, 0.0))
+    after = hashlib.sha256(path.read_bytes()).hexdigest()
+    assert f"sha256 {after}, the profile wants {before}" in refusal(pinned(settings))
+    # Where there is nothing to pin nothing changes.
+    for other in (FollowerSettings(), flying(tmp_path / "gone.onnx")):
+        assert pinned(other) == other
 
 
 def test_another_contract_is_refused_with_both(tmp_path: Path) -> None:

@@ -63,7 +63,7 @@ class FollowerSettings(Settings):
     model: str = Field(default=SHIPPED_MODEL, min_length=1, max_length=4096)
     """For `controller: policy`: `shipped`, or an ONNX file; a relative path begins at the profile."""
     model_sha256: str | None = Field(default=None, pattern=r"^[0-9a-f]{64}$")
-    """Hash that the model's file must have; any if not given."""
+    """Hash that the model's file must have; if not given, that of the file that is there at the start."""
     method: Method = "flock"
     """The law."""
     command: CommandSettings = CommandSettings()
