@@ -38,6 +38,10 @@ def train(
         list[str] | None,
         typer.Option("--set", metavar="KEY=VALUE", help="Instead of what the file says, e.g. ppo.epochs=3."),
     ] = None,
+    imitate: Annotated[
+        bool,
+        typer.Option("--imitate", help="Learn to fly like flock instead; `start` can name what comes of it."),
+    ] = False,
     json_output: AsJson = False,
 ) -> None:
     """Train a follower's policy on swarms in abstract fidelity.
@@ -45,6 +49,8 @@ def train(
     The same file and seed give the same policy on the same processor. A training that was stopped, by Ctrl-C
     too, goes on with --resume. curve.csv and TensorBoard's files in the folder show how it learns.
     """
+    if imitate and (resume or minutes is not None or device != "cpu"):
+        raise typer.BadParameter("--imitate goes with --updates, its number of rounds; not with this")
 
     def body() -> tuple[Result, ExitCode]:
         from companion.errors import ProfileError
@@ -52,6 +58,8 @@ def train(
 
         settings = load_training(definition, changes or [])
         folder = out or Path("runs") / definition.stem
+        if imitate:
+            return _imitate(settings, folder, updates, workers, json_output), ExitCode.OK
         start = None if settings.start is None else definition.parent / settings.start
         if start is not None and not start.is_file():
             raise ProfileError(f"{definition}: start: there is no file {start}")
@@ -163,6 +171,51 @@ def _train(
         training.close()
 
 
+def _imitate(
+    settings: "TrainingSettings", folder: Path, rounds: int | None, workers: int | None, quiet: bool
+) -> Result:
+    """Let the file's network learn from the file's law."""
+    from sitl.campaign.progress import ProgressLine
+    from sitl.campaign.runner import Progress
+    from sitl.campaign.workers import cores
+    from sitl.training.imitation import Imitation
+    from sitl.training.torch_threads import calm_threads
+
+    threads = workers or cores()
+    calm_threads()
+    plan = settings.imitation if rounds is None else settings.imitation.model_copy(update={"rounds": rounds})
+    settings = settings.model_copy(update={"imitation": plan})
+    imitation = Imitation(
+        settings, _batch(settings, "cpu", threads), folder, evaluate=_evaluation(settings, threads)
+    )
+    line = ProgressLine(f"{settings.title}, imitation", "rounds")
+    stop = _Stop()
+
+    def show(number: int, row: Mapping[str, float]) -> None:
+        line.show(Progress(number, plan.rounds, 0), f"{row['error_mps']:.3f} m/s from the law")
+
+    try:
+        done = imitation.run(stop, show)
+    finally:
+        line.close()
+        imitation.close()
+    if done.stopped:
+        typer.echo(f"stopped after round {done.rounds}; {done.files[0]} holds what was learned", err=True)
+        raise KeyboardInterrupt
+    if not quiet:
+        typer.echo(
+            f"{done.rounds} rounds, {done.samples} samples, {done.error_mps:.3f} m/s from the law\n"
+            "written: " + ", ".join(str(file) for file in done.files)
+        )
+    return {
+        "rounds": done.rounds,
+        "samples": done.samples,
+        "error_mps": done.error_mps,
+        "score": done.score,
+        "files": [str(file) for file in done.files],
+    }
+
+
 def _batch(settings: "TrainingSettings", device: str, workers: int) -> "Batch":
     """Build the swarms, and say how far their scenes are."""
     from companion.errors import ProfileError
@@ -198,8 +251,13 @@ def _evaluation(settings: "TrainingSettings", workers: int) -> "Evaluate | None"
         line.show(Progress(done, total, 0))
 
     try:
-        follower = settings.environment.follower
-        judge = Evaluation(schedule.evaluation_trials, follower=follower, workers=workers, on_scene=show)
+        judge = Evaluation(
+            schedule.evaluation_trials,
+            follower=settings.environment.follower,
+            abstract=settings.environment.abstract,
+            workers=workers,
+            on_scene=show,
+        )
     finally:
         line.close()
     return lambda policy: judge(policy, settings.contract)

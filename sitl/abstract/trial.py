@@ -214,15 +214,16 @@ class AbstractTrial:
         return AbstractFlight(record, self._trajectory() if self._record else None, self._course)
 
     def _trajectory(self) -> SwarmTrajectory:
-        states, commands, known, rooms = (array[: self._step + 1] for array in self._trace)
+        states, commands, known, rooms = self._trace
+        flown = slice(self._step + 1)
         return SwarmTrajectory(
             t=np.asarray(CONTROL_STEP_S * np.arange(self._step + 1), np.float64),
-            p_world=states[:, :, 0:3].copy(),
-            v_world=states[:, :, 3:6].copy(),
-            q_world_body=states[:, :, 6:10].copy(),
-            command_world=commands.copy(),
-            perceived=known.astype(np.bool_),
-            distances=rooms.copy(),
+            p_world=states[flown, :, 0:3].copy(),
+            v_world=states[flown, :, 3:6].copy(),
+            q_world_body=states[flown, :, 6:10].copy(),
+            command_world=commands[flown].copy(),
+            perceived=known[flown].astype(np.bool_),
+            distances=rooms[flown].copy(),
         )
 
 

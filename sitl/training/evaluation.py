@@ -139,6 +139,7 @@ class Evaluation:
         *,
         cases: Sequence[EvaluationCase] = CASES,
         follower: FollowerSettings | None = None,
+        abstract: Callable[[Preset], AbstractSettings] = AbstractSettings.of,
         workers: int = 1,
         on_scene: Callable[[int, int], None] = lambda done, total: None,
     ) -> None:
@@ -148,10 +149,12 @@ class Evaluation:
             trials: in each case.
             cases: kinds of scenes.
             follower: gains of the law beside the policy, and limits of commands.
+            abstract: perception and motion under one of the known perceptions.
             workers: threads.
             on_scene: called with how many scenes are ready, of how many.
         """
         self._cases, self._follower, self._workers = tuple(cases), follower or FollowerSettings(), workers
+        self._abstract = abstract
         self._scenes: list[list[tuple[SwarmScene, Course]]] = []
         for number, case in enumerate(self._cases):
             self._scenes.append([])
@@ -185,7 +188,7 @@ class Evaluation:
 
     def _fly_case(self, policy: Policy, number: int) -> list[TrialRecord]:
         case = self._cases[number]
-        settings = AbstractSettings.of(case.perception)
+        settings = self._abstract(case.perception)
         trials = [
             AbstractTrial(scene, self._follower.method, self._follower, settings, course=course)
             for scene, course in self._scenes[number]
@@ -195,7 +198,7 @@ class Evaluation:
 
     def _fly_case_by_law(self, method: str, number: int) -> list[TrialRecord]:
         case = self._cases[number]
-        settings = AbstractSettings.of(case.perception)
+        settings = self._abstract(case.perception)
         return [
             fly_abstract(
                 scene, method, self._follower, settings, world_name=case.name, trial=index, course=course

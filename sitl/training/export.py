@@ -1,7 +1,7 @@
 """From a trained network to the file that flies, checked against the network on flights of its own."""
 
-import io
 import subprocess
+import tempfile
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,7 +18,6 @@ from companion.control.policy_metadata import PRESENT_COLUMN, PolicyMetadata
 from companion.errors import ModelError
 from companion.messages import Float32Array
 from sitl.abstract.policy_flight import PolicyStep
-from sitl.abstract.settings import AbstractSettings
 from sitl.abstract.trial import AbstractTrial
 from sitl.swarm.scene import set_scene
 from sitl.swarm.settings import SwarmSettings
@@ -113,10 +112,10 @@ def export(
 def model_bytes(module: torch.nn.Module, contract: Contract, metadata: PolicyMetadata) -> bytes:
     """Return the ONNX file of a network; equal networks give equal bytes."""
     inputs = {name: torch.zeros(2, *shape) for name, shape in contract.inputs.items()}
-    file = io.BytesIO()
-    with warnings.catch_warnings(), torch.no_grad():
+    with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings(), torch.no_grad():
         # The exporter that needs no further package; it says on every call that there is a newer one.
         warnings.simplefilter("ignore")
+        file = str(Path(folder) / "model.onnx")
         torch.onnx.export(
             module,
             tuple(inputs.values()),
@@ -127,7 +126,7 @@ def model_bytes(module: torch.nn.Module, contract: Contract, metadata: PolicyMet
             dynamic_axes={name: {0: "batch"} for name in (*inputs, OUTPUT)},
             opset_version=metadata.opset,
         )
-    model = onnx.load_model_from_string(file.getvalue())
+        model = onnx.load_model(file)
     model.doc_string = ""
     onnx.helper.set_model_props(model, metadata.table())
     onnx.checker.check_model(model, full_check=True)
@@ -202,5 +201,5 @@ def _trial(case: EvaluationCase, settings: TrainingSettings, seed: int) -> Abstr
     swarm = SwarmSettings(followers=case.followers)
     swarm = swarm.model_copy(update={"leader": swarm.leader.model_copy(update={"behaviour": case.behaviour})})
     follower = settings.environment.follower
-    abstract = AbstractSettings.of(case.perception)
+    abstract = settings.environment.abstract(case.perception)
     return AbstractTrial(set_scene(swarm, case.site, seed), follower.method, follower, abstract)

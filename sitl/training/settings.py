@@ -15,6 +15,7 @@ from companion.yaml_problems import misfit
 from companion.yaml_source import loads, merged, read_tree, validated
 from companion.yaml_tree import parse_tree
 from sitl.training.environment_settings import EnvironmentSettings
+from sitl.training.imitation_settings import ImitationSettings
 
 Layers = Annotated[list[Annotated[int, Field(ge=1, le=2048)]], Field(min_length=1, max_length=6)]
 
@@ -133,6 +134,8 @@ class TrainingSettings(Settings):
     """Optimisation."""
     schedule: ScheduleSettings = ScheduleSettings()
     """Length, checkpoints, evaluation."""
+    imitation: ImitationSettings = ImitationSettings()
+    """What comes before, where a network that says velocities itself is to start from a law."""
 
     @model_validator(mode="after")
     def _parts_fit(self) -> "TrainingSettings":
@@ -183,10 +186,9 @@ def configuration_text(settings: TrainingSettings) -> str:
 
 
 def configuration_sha256(settings: TrainingSettings) -> str:
-    """Return the hash of everything that shapes a policy; title, length and places of files are left out."""
-    plain = {
-        key: value for key, value in _plain(settings).items() if key not in ("title", "start", "schedule")
-    }
+    """Return the hash of all that shapes a training; what it starts from and its length are left out."""
+    beside = ("title", "start", "schedule", "imitation")
+    plain = {key: value for key, value in _plain(settings).items() if key not in beside}
     return hashlib.sha256(json.dumps(plain, sort_keys=True).encode()).hexdigest()
 
 
