@@ -14,7 +14,7 @@ _NONE = -1
 class NeighbourSettings(Settings):
     """How many neighbours are seen, and when."""
 
-    count: int = Field(default=6, ge=1, le=20)
+    count: int = Field(default=12, ge=1, le=20)
     """The nearest so many."""
     compensate_latency: bool = True
     """Predict neighbours and own pose to now; otherwise both as they were when the scan ended."""

@@ -169,7 +169,7 @@ class CampaignDefinition(Settings):
     followers: list[Annotated[int, Field(ge=1, le=20)]] = Field(default=[4], min_length=1, max_length=20)
     """Sizes of the swarm, without its leader."""
     observable_neighbours: list[Annotated[int, Field(ge=1, le=20)]] = Field(
-        default=[6], min_length=1, max_length=20
+        default=[12], min_length=1, max_length=20
     )
     """How many of its nearest neighbours a follower takes into account; each number is a row of its own."""
     perception: Preset = "paper"

@@ -53,7 +53,7 @@ class EnvironmentSettings(Settings):
     """Start, leader and rules; number and behaviour are those above."""
     follower: FollowerSettings = FollowerSettings()
     """Gains of the law that flies beside the policy, and limits of commands."""
-    observable_neighbours: int = Field(default=6, ge=1, le=20)
+    observable_neighbours: int = Field(default=12, ge=1, le=20)
     """How many neighbours are passed on."""
     compensate_latency: bool = True
     """Neighbours are predicted to now."""

@@ -26,7 +26,7 @@ from sitl.swarm.settings import SwarmSettings
 from sitl.tune.exam import Exam
 from sitl.tune.space import axes_of, with_values
 
-NEIGHBOURS = 6
+NEIGHBOURS = 12
 _CONFIRMATION_FIRST = 100_000
 _CONFIRMATION_TIMES = 4
 _MAX_BYTES = 64 * 1024**2

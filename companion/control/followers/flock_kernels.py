@@ -38,6 +38,7 @@ from companion.control.followers.layout_kernels import (
     FLOCK_COHESION,
     FLOCK_COLUMNS,
     FLOCK_DODGE,
+    FLOCK_DODGE_FULL,
     FLOCK_DODGE_ROOM,
     FLOCK_DODGE_TIME,
     FLOCK_FAR,
@@ -49,6 +50,7 @@ from companion.control.followers.layout_kernels import (
     FLOCK_KNOWN,
     FLOCK_LEAD,
     FLOCK_LINK,
+    FLOCK_LINK_BEHIND,
     FLOCK_LINK_LENGTH,
     FLOCK_PURSUIT,
     FLOCK_SEPARATION,
@@ -68,6 +70,7 @@ _LEAST_GAP_M = 0.1
 _FLOW_COLUMNS = 72.0 / 8.0
 _SAME_PLACE_M = 1e-6
 _RECOVERY_AFTER_S = 1.0
+_LEAST_LINK = 0.1
 
 
 @inlined
@@ -86,7 +89,7 @@ def flock(
     known = recall_neighbours(ego, memory, parameters)
     memory[FLOCK_KNOWN] = known
     _gather(ego, known, memory, parameters, wish)
-    _close_gaps(known, memory, parameters, wish)
+    _close_gaps(ego, known, memory, parameters, wish)
     _flow_round(memory, parameters, wish)
     count = limit_by_obstacles(ego, memory, parameters)
     _limit_speed(parameters, wish)
@@ -110,7 +113,7 @@ def _gather(
         x, y, z = memory[row], memory[row + 1], memory[row + 2]
         vx, vy, trust = memory[row + 3], memory[row + 4], memory[row + 5]
         wx, wy = vx - ego[EGO_V], vy - ego[EGO_V + 1]
-        aside_x, aside_y = _step_aside(x, y, wx, wy, parameters)
+        aside_x, aside_y = _step_aside(x, y, wx, wy, vx, vy, parameters)
         push_x += trust * aside_x
         push_y += trust * aside_y
         x, y = x + lead * wx, y + lead * wy
@@ -148,7 +151,9 @@ def _gather(
 
 
 @inlined
-def _close_gaps(known: int, memory: FloatArray, parameters: FloatArray, wish: FloatArray) -> None:
+def _close_gaps(
+    ego: FloatArray, known: int, memory: FloatArray, parameters: FloatArray, wish: FloatArray
+) -> None:
     """Pull towards far neighbours that nobody else is between.
 
     Such pairs hold the flock together: if none of them parts, it stays in one piece. Nobody is between two if
@@ -172,20 +177,31 @@ def _close_gaps(known: int, memory: FloatArray, parameters: FloatArray, wish: Fl
                 linked = False
                 break
         if linked:
-            pull = memory[row + 5] * parameters[FLOCK_LINK] * gap / math.sqrt(square)
+            distance = math.sqrt(square)
+            pull = memory[row + 5] * parameters[FLOCK_LINK] * gap / distance
+            # Those behind close the gap themselves.
+            ahead = (x * ego[EGO_V] + y * ego[EGO_V + 1]) / distance
+            pull *= min(max(1.0 + parameters[FLOCK_LINK_BEHIND] * ahead, _LEAST_LINK), 1.0)
             wish[0] += pull * x
             wish[1] += pull * y
 
 
 @inlined
-def _step_aside(x: float, y: float, wx: float, wy: float, parameters: FloatArray) -> tuple[float, float]:
+def _step_aside(
+    x: float, y: float, wx: float, wy: float, vx: float, vy: float, parameters: FloatArray
+) -> tuple[float, float]:
     """Return a velocity away from where a neighbour will pass, if it will soon pass too near.
+
+    Those who come fast and by themselves are given way to. Whoever is only caught up with is not: in a large
+    swarm everybody catches up with somebody all the time, and it would fly apart.
 
     Args:
         x: position of the neighbour relative to the own, m.
         y: likewise.
         wx: its velocity relative to the own, m/s.
         wy: likewise.
+        vx: its own velocity, m/s.
+        vy: likewise.
         parameters: of the law.
     """
     longest, room = parameters[FLOCK_DODGE_TIME], parameters[FLOCK_DODGE_ROOM]
@@ -200,13 +216,15 @@ def _step_aside(x: float, y: float, wx: float, wy: float, parameters: FloatArray
     miss = math.sqrt(miss_x * miss_x + miss_y * miss_y)
     if miss >= room:
         return 0.0, 0.0
+    speed = math.sqrt(speed_squared)
     if miss > 0.05:
         ex, ey = miss_x / miss, miss_y / miss
     else:
         # It comes straight at us: both pass on the same hand.
-        speed = math.sqrt(speed_squared)
         ex, ey = -wy / speed, wx / speed
     strength = parameters[FLOCK_DODGE] * (1.0 - miss / room) * (1.0 - soon / longest)
+    strength *= min(speed / parameters[FLOCK_DODGE_FULL], 1.0) ** 2
+    strength *= min(max(-(x * vx + y * vy) / closing, 0.0), 1.0)
     return -strength * ex, -strength * ey
 
 

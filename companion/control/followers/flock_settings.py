@@ -10,7 +10,7 @@ class FlockSettings(Settings):
 
     cohesion_per_s: float = Field(default=0.32, ge=0.0, le=3.0)
     """Pull towards the neighbours, per metre to their weighted mean."""
-    pursuit_s_per_m: float = Field(default=13.0, ge=0.0, le=50.0)
+    pursuit_s_per_m: float = Field(default=4.0, ge=0.0, le=50.0)
     """Additional weight of a neighbour for each m/s at which it flies away from here: it may be leading."""
     far_weight: float = Field(default=0.61, ge=0.0, le=10.0)
     """Additional weight of a neighbour at twice `separation_m`, growing with distance."""
@@ -20,7 +20,7 @@ class FlockSettings(Settings):
     """Push away from near neighbours."""
     separation_m: float = Field(default=2.6, gt=0.4, le=8.0)
     """Neighbours farther than this do not push."""
-    lead_s: float = Field(default=0.35, ge=0.0, le=1.0)
+    lead_s: float = Field(default=0.25, ge=0.0, le=1.0)
     """How far ahead of now neighbours are reckoned."""
     height_per_s: float = Field(default=1.4, ge=0.0, le=5.0)
     """Vertical speed for each metre that the wanted height is above the own."""
@@ -72,3 +72,7 @@ class FlockSettings(Settings):
     """Pull towards a neighbour with nobody between, for each metre that it is farther than `link_m`."""
     link_m: float = Field(default=2.1, gt=0.4, le=8.0)
     """Gaps up to this are not closed."""
+    dodge_full_mps: float = Field(default=1.2, gt=0.0, le=5.0)
+    """A neighbour that comes slower is stepped aside from less, with the square of its speed."""
+    link_behind_s_per_m: float = Field(default=0.6, ge=0.0, le=5.0)
+    """For each m/s at which the vehicle flies away from a neighbour, the pull towards it is so much less."""

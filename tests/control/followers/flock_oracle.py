@@ -54,7 +54,7 @@ class Flock:
         self._remember_obstacles(ego, columns)
         seen = self._recall(ego)
         v, rise = self._together(ego, seen)
-        v = v + self._close_gaps(seen)
+        v = v + self._close_gaps(ego[3:5], seen)
         v = v + self._flow(columns)
         v = clipped(v, self.command.max_speed_mps)
         planes = self._obstacle_planes(ego, columns)
@@ -129,7 +129,7 @@ class Flock:
         pulls, flows = [], []
         for other in seen:
             w = other.v - ego[3:5]
-            push += other.trust * self._aside(other.r, w)
+            push += other.trust * self._aside(other.r, w, other.v)
             r = other.r + g.lead_s * w
             d = float(np.linalg.norm(r))
             away = float(np.clip(np.minimum(w @ r, other.v @ r) / d, 0.0, None))
@@ -146,7 +146,7 @@ class Flock:
         rise = (1.0 - g.top_weight) * mean + g.top_weight * highest - g.below_m
         return cohesion + follow + push, g.height_per_s * rise
 
-    def _aside(self, r: FloatArray, w: FloatArray) -> FloatArray:
+    def _aside(self, r: FloatArray, w: FloatArray, v: FloatArray) -> FloatArray:
         g = self.g
         if r @ w >= 0.0 or w @ w < 0.01 or g.dodge_time_s <= 0.0:
             return np.zeros(2)
@@ -156,9 +156,13 @@ class Flock:
         if soon >= g.dodge_time_s or size >= g.dodge_room_m:
             return np.zeros(2)
         side = miss / size if size > 0.05 else np.array([-w[1], w[0]]) / np.linalg.norm(w)
-        return -g.dodge_mps * (1.0 - size / g.dodge_room_m) * (1.0 - soon / g.dodge_time_s) * side
+        fast = min(float(np.linalg.norm(w)) / g.dodge_full_mps, 1.0) ** 2
+        comes = float(np.clip((r @ v) / (r @ w), 0.0, 1.0))
+        return (
+            -g.dodge_mps * fast * comes * (1.0 - size / g.dodge_room_m) * (1.0 - soon / g.dodge_time_s) * side
+        )
 
-    def _close_gaps(self, seen: list[Seen]) -> FloatArray:
+    def _close_gaps(self, own: FloatArray, seen: list[Seen]) -> FloatArray:
         total = np.zeros(2)
         for other in seen:
             d = float(np.linalg.norm(other.r))
@@ -170,7 +174,8 @@ class Flock:
                 and np.linalg.norm(third.r - other.r) < d
             ]
             if d > self.g.link_m and not between:
-                total += other.trust * self.g.link_per_s * (d - self.g.link_m) * other.r / d
+                part = np.clip(1.0 + self.g.link_behind_s_per_m * (own @ other.r) / d, 0.1, 1.0)
+                total += other.trust * self.g.link_per_s * part * (d - self.g.link_m) * other.r / d
         return total
 
     def _flow(self, columns: FloatArray) -> FloatArray:

@@ -165,7 +165,7 @@ def test_more_trials_worlds_and_methods_can_be_added_to_a_folder(tmp_path: Path)
         ({"seed": 2}, "rules.seed was 1, now 2"),
         ({"perception": "measured"}, r"rules\.abstract\.perception\.\w+ was"),
         ({"obstacle_distance_cap_m": 3.0}, "rules.obstacle_distance_cap_m was 4.0, now 3.0"),
-        ({"observable_neighbours": [5]}, "variants.flock.observable_neighbours was 6, now 5"),
+        ({"observable_neighbours": [5]}, "variants.flock.observable_neighbours was 12, now 5"),
         ({"worlds": [{"name": "none", "site": "forest"}]}, "worlds.none.site was None, now forest"),
     ],
 )
