@@ -35,10 +35,12 @@ from companion.messages import (
     Severity,
     StateChange,
     StatusText,
+    Surroundings,
     Tick,
     VehicleMode,
     VehicleState,
 )
+from companion.perception.neighbours import nobody
 from companion.pipeline import Pipeline
 from companion.safety.settings import SafetySettings
 from tests.drivers.px4_peer import (
@@ -235,6 +237,12 @@ class TestTick:
         assert set(names(after)) <= set(before)
         assert rig.recorded(channels.STATE) == [change]
         assert len(rig.recorded(channels.PLAN)) == 1
+
+    def test_what_a_follower_was_given_is_kept_and_sends_nothing(self, rig: Rig) -> None:
+        before = names(rig.tick())
+        seen = Surroundings(T0, nobody(T0, 6), T0 - MS, 0.5, np.full((72, 12), np.inf))
+        assert set(names(rig.tick(seen, t_ns=T0 + MS))) <= set(before)
+        assert len(rig.recorded(channels.GIVEN)) == len(rig.recorded(channels.GRID)) == 1
 
 
 class TestEstimates:
