@@ -7,6 +7,7 @@ import pytest
 
 pytest.importorskip("onnx")
 
+from companion import flight
 from companion.assembly import assemble
 from companion.cli import main
 from companion.clock import SystemClock
@@ -14,6 +15,7 @@ from companion.config import load_profile, profile_text
 from companion.control.followers.settings import FollowerSettings
 from companion.errors import ModelError
 from companion.exit_codes import ExitCode
+from companion.preflight import table
 from companion.preflight.policy import check_policy
 from tests.control.models import save
 
@@ -41,6 +43,13 @@ def profile(tmp_path: Path) -> Path:
     path = tmp_path / "uav7.yaml"
     path.write_text(PROFILE, encoding="utf-8")
     return path
+
+
+@pytest.fixture
+def no_kernels(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave out what has nothing to do with models and takes its time."""
+    for module in (flight, table):
+        monkeypatch.setattr(module, "load_kernels", lambda: 0)
 
 
 def settings_of(profile: Path) -> FollowerSettings:
@@ -75,6 +84,7 @@ def test_other_limits_than_in_training_are_told(profile: Path, tmp_path: Path) -
     assert check.reason.endswith("max_speed_mps is 1.5, it was trained with 2")
 
 
+@pytest.mark.usefixtures("no_kernels")
 def test_check_refuses_a_model_that_does_not_fit(
     profile: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -85,6 +95,7 @@ def test_check_refuses_a_model_that_does_not_fit(
     assert found["reason"] == f"{tmp_path / 'models' / 'a.onnx'}: no such model"
 
 
+@pytest.mark.usefixtures("no_kernels")
 def test_nothing_takes_off_with_a_model_that_does_not_fit(
     profile: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
