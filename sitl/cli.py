@@ -15,6 +15,7 @@ from companion.exit_codes import ExitCode
 from sitl.bench_cli import app as bench_app
 from sitl.campaign_cli import campaign, trial
 from sitl.odometry_peer_cli import odometry_peer
+from sitl.policy_cli import card, evaluate, export
 from sitl.swarm_cli import run_swarm
 from sitl.train_cli import train
 from sitl.tune_cli import tune
@@ -45,6 +46,11 @@ app.command(
     "--out trial_17.mcap"
 )(trial)
 app.command(epilog="Example: sitl train field_configs/train_best.yaml --minutes 10 --resume")(train)
+app.command(epilog="Example: sitl evaluate runs/train_best/best.pt --trials 100 --against flock")(evaluate)
+app.command(epilog="Example: sitl export runs/train_best/best.pt --out follower.onnx")(export)
+app.command(
+    epilog="Example: sitl card field_configs/campaign_comparison.yaml --training training_runs/train_best"
+)(card)
 app.command(
     epilog="Example: sitl tune pacnav --target paper --budget 300 --out field_configs/follower_pacnav_T1.yaml"
 )(tune)

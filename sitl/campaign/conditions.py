@@ -218,7 +218,7 @@ def claim(folder: Path, conditions: Conditions) -> None:
 
 
 def _gains(entry: MethodEntry, folder: Path) -> FollowerSettings:
-    follower = FollowerSettings()
+    follower = FollowerSettings(controller="policy" if entry.method_name == LEARNED else "law")
     if entry.parameters is not None:
         follower = load_profile(folder / entry.parameters).follower or follower
     if entry.method_name != LEARNED:

@@ -22,7 +22,14 @@ Name = Annotated[str, Field(min_length=1, max_length=48, pattern=r"^[A-Za-z0-9][
 FileName = Annotated[str, Field(min_length=1, max_length=256)]
 Seeds = Literal["held_out", "training"]
 Table = Literal[
-    "comparison", "scalability", "neighbours", "real_scenes", "waypoints", "leader_behaviour", "perceptions"
+    "comparison",
+    "scalability",
+    "neighbours",
+    "real_scenes",
+    "waypoints",
+    "leader_behaviour",
+    "perceptions",
+    "rewards",
 ]
 
 LEARNED = "policy"
@@ -91,7 +98,7 @@ class MethodEntry(Settings):
     """Which of the known methods it is; by default the one that it is called after."""
     parameters: FileName | None = None
     """Profile, relative to this file, whose section `follower` holds the gains, or names what was learned;
-    without it the product's own gains."""
+    without it the product's own gains, or the model that comes with it."""
 
     @property
     def method_name(self) -> str:
@@ -206,8 +213,6 @@ class CampaignDefinition(Settings):
                 _known("worlds", index, "site", world.site_name, SITE_NAMES)
         for index, method in enumerate(self.method_entries):
             _known("methods", index, "method", method.method_name, (*METHODS, LEARNED))
-            if method.method_name == LEARNED and method.parameters is None:
-                raise misfit(("methods", index), "no parameters", "a profile that names what was learned")
         return self
 
     @model_validator(mode="after")

@@ -19,6 +19,7 @@ from sitl.campaign.tables import (
 )
 from sitl.campaign.tables_labels import Labels, split_perception
 from sitl.campaign.tables_rendering import Table, html_table, latex, markdown
+from sitl.campaign.tables_rewards import rewards_table
 from sitl.swarm.record import TrialRecord
 
 MARKDOWN = "tables.md"
@@ -33,6 +34,7 @@ _AGAIN = (
     '<p class="note">Any trial can be flown again, with a log: <code>sitl trial DIR --world NAME --method '
     "NAME --followers N --trial K --out FILE.mcap</code></p>"
 )
+_BUILDERS = {**BUILDERS, "rewards": rewards_table}
 _FAILED_SHOWN = 40
 _SUCCEEDED_SHOWN = 5
 
@@ -41,9 +43,9 @@ def tables_of(records: Sequence[TrialRecord], definition: CampaignDefinition) ->
     """Return every table for which there are trials: the campaign's own first, then the general ones."""
     cases = summarise(records)
     labels, cap_m = Labels.of(definition), definition.obstacle_distance_cap_m
-    wanted = [definition.table] if definition.table in BUILDERS else []
-    order = [*wanted, *(name for name in BUILDERS if name not in wanted)]
-    built = [BUILDERS[name or ""](cases, labels, cap_m) for name in order]
+    wanted = [definition.table] if definition.table in _BUILDERS else []
+    order = [*wanted, *(name for name in _BUILDERS if name not in wanted)]
+    built = [_BUILDERS[name or ""](cases, labels, cap_m) for name in order]
     tables = [table for table in built if table is not None]
     tables += [cases_table(cases, cap_m), failures_table(cases)]
     pairs = compare_all(records)

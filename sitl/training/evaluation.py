@@ -116,6 +116,11 @@ class TorchPolicy:
         self._module = module
         self._contract = contract
 
+    @classmethod
+    def of(cls, module: torch.nn.Module, contract: str) -> "TorchPolicy":
+        """Take a module and the name of its contract."""
+        return cls(module.eval(), CONTRACTS[contract])
+
     @property
     def contract(self) -> Contract:
         """What it wants to see."""
@@ -164,7 +169,7 @@ class Evaluation:
 
     def __call__(self, module: torch.nn.Module, contract: str = "best-1") -> Mapping[str, float]:
         """Judge a network for a training's curve; see `Evaluated.numbers`."""
-        return self.judge(TorchPolicy(module, CONTRACTS[contract])).numbers()
+        return self.judge(TorchPolicy.of(module, contract)).numbers()
 
     def judge(self, policy: Policy) -> Evaluated:
         """Fly all scenes with a policy."""

@@ -3,6 +3,7 @@ from pathlib import Path
 
 import pytest
 
+from companion.control.followers.settings import SHIPPED_MODEL
 from companion.errors import ProfileError
 from sitl.abstract.policy_flight import POLICY
 from sitl.abstract.settings import AbstractSettings
@@ -157,11 +158,11 @@ def test_a_name_that_nothing_has_is_refused_with_its_place(tmp_path: Path, text:
         load_definition(written(tmp_path, text))
 
 
-def test_a_learned_law_needs_to_be_told_where_it_is(tmp_path: Path) -> None:
+def test_a_learned_law_is_the_shipped_one_unless_told_where_it_is(tmp_path: Path) -> None:
     assert LEARNED == POLICY
     named = "title: A\nworlds: [none]\nmethods: [{name: mine, method: policy%s}]\n"
-    with pytest.raises(ProfileError, match=r":3:11: methods\[0\]: found no parameters, allowed a profile"):
-        load_definition(written(tmp_path, named % ""))
+    shipped = written(tmp_path, named % "")
+    assert conditions_of(load_definition(shipped), shipped).variants["mine"].follower.model == SHIPPED_MODEL
     profile = "vehicle: {name: uav9}\nrole: follower\nfollower: {controller: %s, model: mine.onnx}\n"
     path = written(tmp_path, named % ", parameters: learned.yaml")
     (tmp_path / "learned.yaml").write_text(profile % "law", encoding="utf-8")
