@@ -3,6 +3,7 @@
 import copy
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
 
 import numpy as np
 from numpy.random import SeedSequence
@@ -153,7 +154,7 @@ class SwarmBatch:
             "cohorts": [
                 [[array.copy() for array in group] for group in _groups(cohort)] for cohort in self._cohorts
             ],
-            "crashes": copy.deepcopy(self._crashes),
+            "crashes": [crashes.state() for crashes in self._crashes],
             "scene_of": self._scene_of.copy(),
             "replayed": self._replayed.copy(),
             "begun_at": self._begun_at.copy(),
@@ -167,7 +168,8 @@ class SwarmBatch:
             for group, stored in zip(_groups(cohort), groups, strict=True):
                 for array, kept in zip(group, stored, strict=True):
                     array[...] = kept
-        self._crashes = copy.deepcopy(state["crashes"])
+        for crashes, kept in zip(self._crashes, state["crashes"], strict=True):
+            crashes.restore(kept)
         for array, name in (
             (self._scene_of, "scene_of"),
             (self._replayed, "replayed"),
@@ -194,7 +196,7 @@ class SwarmBatch:
                 continue
             number = self._workers * _PIECES_PER_WORKER
             edges = [first + (last - first) * k // number for k in range(number + 1)]
-            pieces.extend((index, low, high) for low, high in zip(edges, edges[1:], strict=False))
+            pieces.extend((index, low, high) for low, high in pairwise(edges))
         tasks = [(velocity, *piece) for piece in pieces if piece[1] < piece[2]]
         if self._pool is None:
             for task in tasks:
@@ -216,7 +218,7 @@ class SwarmBatch:
         longest = int(self.settings.stagger_s / CONTROL_STEP_S)
         for done in range(longest):
             firsts = [-(-len(cohort) * (done + 1) // (longest + 1)) for cohort in self._cohorts]
-            self._fly(self.observation.reference.copy(), firsts)
+            self._fly(np.array(self.observation.reference), firsts)
             self._end_and_begin()
 
     def _end_and_begin(self) -> list[EpisodeSummary]:
@@ -258,6 +260,11 @@ class SwarmBatch:
             self._scene_of[number] = scene_number
             self._replayed[number] = crash is not None
             self._begun_at[number] = begins
+        self._show_first(index, which)
+
+    def _show_first(self, index: int, which: NDArray[np.int64]) -> None:
+        """Let swarms of a cohort perceive whose state has just been set."""
+        cohort = self._cohorts[index]
         begin_swarms(
             which, self._number, self._bank, self._rays, self._law, cohort.swarm, cohort.motion,
             cohort.views, cohort.acts, self._shown, cohort.snapshots,

@@ -1,7 +1,8 @@
 """One control step of many swarms of one size: the same functions that fly trials, over batched arrays.
 
 Every array of a batch begins with an axis over swarms, so that the same code serves a thread of a processor
-and one of a graphics card. Streams, the rows of what is shown and rewarded, number the followers of all swarms.
+and one of a graphics card: what ends in `_one` is the work of one thread there, see `cuda_kernels`. Streams,
+the rows of what is shown and rewarded, number the followers of all swarms.
 """
 
 import math
@@ -29,10 +30,10 @@ from sitl.abstract.judging_kernels import (
     judge,
 )
 from sitl.abstract.leader_kernels import FINISHED, PHASE
-from sitl.abstract.motion_kernels import move
+from sitl.abstract.motion_kernels import move_one
 from sitl.abstract.perception_kernels import IS_KNOWN
 from sitl.abstract.sight_kernels import up_of, yaw_of
-from sitl.abstract.swarm_kernels import leader_unseen, perceive, settle
+from sitl.abstract.swarm_kernels import leader_unseen, look_about, perceive_one, settle_one
 from sitl.dynamics_kernels import P, Q, V
 from sitl.training import batch_layout_kernels as at
 from sitl.training import reward_layout_kernels as term
@@ -74,73 +75,97 @@ def _grid(s: int, limits: FloatArray, rays: Arrays) -> Arrays:
 
 
 @inlined
-def _keep_snapshot(s: int, step: int, motion: Arrays, views: Arrays, snapshots: Arrays) -> None:
-    """Keep what a trial could begin from, before anything is perceived in this step."""
-    steps = snapshots[0]
-    slot = (step // at.SNAPSHOT_STEPS) % steps.shape[1]
-    steps[s, slot] = step
-    _copy(motion[0][s], snapshots[1][s, slot])
-    _copy(motion[1][s], snapshots[2][s, slot])
-    _copy(motion[2][s], snapshots[3][s, slot])
-    _copy(motion[3][s], snapshots[4][s, slot])
-    _copy(motion[4][s], snapshots[5][s, slot])
-    _copy(views[0][s], snapshots[6][s, slot])
-    _copy(views[1][s], snapshots[7][s, slot])
-    _copy(views[4][s], snapshots[8][s, slot])
+def _keep_snapshot(s: int, i: int, step: int, motion: Arrays, views: Arrays, snapshots: Arrays) -> None:
+    """Keep what vehicle i could begin a trial from, before it perceives anything in this step."""
+    slot = (step // at.SNAPSHOT_STEPS) % snapshots[0].shape[1]
+    if i == 0:
+        snapshots[0][s, slot] = step
+    for row in range(motion[0].shape[1]):
+        _copy(motion[0][s, row, i], snapshots[1][s, slot, row, i])
+        _copy(motion[1][s, row, i], snapshots[2][s, slot, row, i])
+    _copy(motion[2][s, i], snapshots[3][s, slot, i])
+    _copy(motion[3][s, i], snapshots[4][s, slot, i])
+    _copy(motion[4][s, i], snapshots[5][s, slot, i])
+    for j in range(views[0].shape[2]):
+        _copy(views[0][s, i, j], snapshots[6][s, slot, i, j])
+    _copy(views[1][s, i], snapshots[7][s, slot, i])
+    _copy(views[4][s, i], snapshots[8][s, slot, i])
 
 
 @inlined
 def _copy(source: FloatArray, target: FloatArray) -> None:
-    from_, to = source.ravel(), target.ravel()
-    for index in range(from_.shape[0]):
-        to[index] = from_[index]
+    for index in range(source.shape[0]):
+        target[index] = source[index]
 
 
 @inlined
-def _observe(
-    s: int, contract: int, bank: Arrays, rays: Arrays, law: FloatArray, swarm: Arrays, motion: Arrays,
-    views: Arrays, acts: Arrays, shown: Arrays, snapshots: Arrays,
+def see_one(
+    s: int, i: int, contract: int, bank: Arrays, rays: Arrays, law: FloatArray, swarm: Arrays,
+    motion: Arrays, views: Arrays, acts: Arrays, shown: Arrays, snapshots: Arrays,
+    roles: np.ndarray[tuple[int], np.dtype[np.uint8]], up: FloatArray,
 ) -> None:  # fmt: skip
-    """Give every follower of a swarm what it perceives, ask its law, and write its observation."""
+    """Give follower i what it perceives, ask its law, and write its observation.
+
+    `roles` (n,) and `up` (3,) are scratch; nothing of the other vehicles changes.
+    """
     seeds, places, parameters, _, limits, _, _, _ = swarm
     flown, wanted = acts[0], acts[1]
     ego_out, neighbours_out, grid_out, memory_out, privileged, reference = shown
-    step, first = places[s, at.STEP], places[s, at.FIRST_STREAM]
+    step = places[s, at.STEP]
     if step % at.SNAPSHOT_STEPS == 0:
-        _keep_snapshot(s, step, motion, views, snapshots)
+        _keep_snapshot(s, i, step, motion, views, snapshots)
     world, own = _world(s, bank, swarm), _views(s, views)
     moving = _motion(s, motion)
-    perceive(seeds[s], step, world, _grid(s, limits, rays), moving, own, parameters[s])
-    ego, neighbours, ranges, memory, up = own[1], own[2], own[3], own[4], own[6]
+    if i == 0:
+        look_about(0, step, world, moving, parameters[s])
+        return
+    perceive_one(seeds[s], step, i, world, _grid(s, limits, rays), moving, own, parameters[s], roles, up)
+    ego, neighbours, ranges, memory = own[1], own[2], own[3], own[4]
     states = motion[0][s, step % motion[0].shape[1]]
     rooms = motion[7][s]
     dt = parameters[s, place.CONTROL_STEP]
     left = (places[s, at.LAST_STEP] - step) * dt
-    for i in range(1, ego.shape[0]):
-        k = first + i - 1
-        for axis in range(3):
-            flown[s, i, axis] = memory[i, PREVIOUS + axis]
-        steer(_FLOCK, ego[i], neighbours[i], ranges[i], memory[i], law, wanted[s, i])
-        # The attitude is known at once, as the heading is.
-        yaw = yaw_of(states[i, 6:10])
-        ux, uy, uz = up_of(states[i, 6:10])
-        cosine, sine = math.cos(yaw), math.sin(yaw)
-        up[0], up[1], up[2] = cosine * ux + sine * uy, cosine * uy - sine * ux, uz
-        cosine, sine = math.cos(ego[i, 6]), math.sin(ego[i, 6])
-        previous = acts[2][s, i]
-        previous[0] = cosine * flown[s, i, 0] + sine * flown[s, i, 1]
-        previous[1] = cosine * flown[s, i, 1] - sine * flown[s, i, 0]
-        previous[2] = flown[s, i, 2]
-        describe(
-            contract, ego[i], up, neighbours[i], ranges[i], memory[i], law, wanted[s, i], previous,
-            ego_out[k], neighbours_out[k], grid_out[k], memory_out[k],
-        )  # fmt: skip
-        disclose(
-            i, states, rooms[i], parameters[s, place.GROUND], left, world[0], world[1], world[2],
-            world[3][i], world[4][i], privileged[k],
-        )  # fmt: skip
-        for axis in range(3):
-            reference[k, axis] = wanted[s, i, axis]
+    k = places[s, at.FIRST_STREAM] + i - 1
+    for axis in range(3):
+        flown[s, i, axis] = memory[i, PREVIOUS + axis]
+    steer(_FLOCK, ego[i], neighbours[i], ranges[i], memory[i], law, wanted[s, i])
+    # The attitude is known at once, as the heading is.
+    yaw = yaw_of(states[i, 6:10])
+    ux, uy, uz = up_of(states[i, 6:10])
+    cosine, sine = math.cos(yaw), math.sin(yaw)
+    up[0], up[1], up[2] = cosine * ux + sine * uy, cosine * uy - sine * ux, uz
+    cosine, sine = math.cos(ego[i, 6]), math.sin(ego[i, 6])
+    previous = acts[2][s, i]
+    previous[0] = cosine * flown[s, i, 0] + sine * flown[s, i, 1]
+    previous[1] = cosine * flown[s, i, 1] - sine * flown[s, i, 0]
+    previous[2] = flown[s, i, 2]
+    describe(
+        contract, ego[i], up, neighbours[i], ranges[i], memory[i], law, wanted[s, i], previous,
+        ego_out[k], neighbours_out[k], grid_out[k], memory_out[k],
+    )  # fmt: skip
+    disclose(
+        i, states, rooms[i], parameters[s, place.GROUND], left, world[0], world[1], world[2],
+        world[3][i], world[4][i], privileged[k],
+    )  # fmt: skip
+    for axis in range(3):
+        reference[k, axis] = wanted[s, i, axis]
+
+
+@inlined
+def begin_one(s: int, i: int, bank: Arrays, swarm: Arrays, motion: Arrays) -> None:
+    """Make vehicle i, whose state has just been set, ready for its first step."""
+    places, parameters, candidates, counts = swarm[1], swarm[2], swarm[6], swarm[7]
+    world, moving = _world(s, bank, swarm), _motion(s, motion)
+    x, y = motion[3][s, i, P], motion[3][s, i, P + 1]
+    counts[s, i] = cull(world[2], x, y, parameters[s, place.CULL_RANGE], candidates[s, i])
+    settle_one(places[s, at.STEP], i, world, moving, parameters[s])
+
+
+@inlined
+def take_sample(s: int, swarm: Arrays, motion: Arrays, acts: Arrays) -> None:
+    """Add where a swarm is now to the sums of its metrics."""
+    now = swarm[1][s, at.STEP] % motion[0].shape[1]
+    add_sample(motion[0][s, now], motion[7][s], swarm[2][s, place.CAP], acts[3][s])
 
 
 @compiled(
@@ -175,67 +200,74 @@ def begin_swarms(
         shown: what policies and critics see.
         snapshots: of the recent past.
     """
-    parameters, candidates, counts = swarm[2], swarm[6], swarm[7]
+    n = motion[3].shape[1]
     for index in range(which.shape[0]):
         s = which[index]
-        world, moving = _world(s, bank, swarm), _motion(s, motion)
-        state = motion[3][s]
-        for i in range(state.shape[0]):
-            counts[s, i] = cull(
-                world[2], state[i, P], state[i, P + 1], parameters[s, place.CULL_RANGE], candidates[s, i]
-            )
-        settle(swarm[1][s, at.STEP], world, moving, parameters[s])
-        add_sample(
-            motion[0][s, swarm[1][s, at.STEP] % motion[0].shape[1]], motion[7][s],
-            parameters[s, place.CAP], acts[3][s],
-        )  # fmt: skip
-        _observe(s, contract, bank, rays, law, swarm, motion, views, acts, shown, snapshots)
+        for i in range(n):
+            begin_one(s, i, bank, swarm, motion)
+        take_sample(s, swarm, motion, acts)
+        for i in range(n):
+            see_one(
+                s, i, contract, bank, rays, law, swarm, motion, views, acts, shown, snapshots, views[5][s],
+                views[6][s],
+            )  # fmt: skip
 
 
 @inlined
-def _fly_on(
-    s: int, velocity: Float32Array, bank: Arrays, law: FloatArray, swarm: Arrays, motion: Arrays,
+def fly_one(
+    s: int, i: int, velocity: Float32Array, bank: Arrays, law: FloatArray, swarm: Arrays, motion: Arrays,
     views: Arrays, acts: Arrays,
 ) -> None:  # fmt: skip
-    """Give commands, and move a swarm on by one control step; its leader flies as it is known to."""
+    """Give vehicle i its command and move it on by one control step; the leader flies as it is known to."""
     seeds, places, parameters, quadrotor, _, _, _, _ = swarm
-    history, commands, gusts, state, loop, setpoint, wind, _, _ = motion
-    ego, memory = views[1][s], views[4][s]
-    flown, wanted = acts[0], acts[1]
-    step, first = places[s, at.STEP], places[s, at.FIRST_STREAM]
+    _, commands, gusts, state, loop, setpoint, wind, _, _ = motion
+    step = places[s, at.STEP]
     row = step % commands.shape[1]
-    flights = bank[3]
-    leader = flights[min(places[s, at.FIRST_FLIGHT] + step + 1, places[s, at.END_FLIGHT] - 1)]
-    for axis in range(3):
-        commands[s, row, 0, axis] = leader[3 + axis]
-    asked, earned = acts[2], acts[6][s]
-    for i in range(1, ego.shape[0]):
-        off = 0.0
+    leader = bank[3][min(places[s, at.FIRST_FLIGHT] + step + 1, places[s, at.END_FLIGHT] - 1)]
+    if i == 0:
         for axis in range(3):
-            asked[s, i, axis] = velocity[first + i - 1, axis]
-            off += (asked[s, i, axis] - wanted[s, i, axis]) ** 2
-        overrule(ego[i], flown[s, i], memory[i], law, asked[s, i])
-        changed = 0.0
-        for axis in range(3):
-            changed += (memory[i, PREVIOUS + axis] - flown[s, i, axis]) ** 2
-            commands[s, row, i, axis] = memory[i, PREVIOUS + axis]
-        earned[i, term.SMOOTHNESS] = -changed
-        # What is not a number counts as far off, too.
-        earned[i, term.RESIDUAL] = -off if off < _LARGEST_DIFFERENCE else -_LARGEST_DIFFERENCE
-    move(
-        seeds[s], step, commands[s], parameters[s], quadrotor[s], gusts[s], state[s], loop[s], setpoint[s],
-        wind[s],
+            commands[s, row, 0, axis] = leader[3 + axis]
+    else:
+        _command(s, i, row, velocity, law, swarm, motion, views, acts)
+    move_one(
+        seeds[s], step, i, commands[s], parameters[s], quadrotor[s], gusts[s], state[s], loop[s],
+        setpoint[s], wind[s],
     )  # fmt: skip
-    for axis in range(3):
-        state[s, 0, P + axis] = leader[axis]
-        state[s, 0, V + axis] = leader[3 + axis]
-    for part in range(4):
-        state[s, 0, Q + part] = leader[6 + part]
-    places[s, at.STEP] = step + 1
+    if i == 0:
+        for axis in range(3):
+            state[s, 0, P + axis] = leader[axis]
+            state[s, 0, V + axis] = leader[3 + axis]
+        for part in range(4):
+            state[s, 0, Q + part] = leader[6 + part]
+    settle_one(step + 1, i, _world(s, bank, swarm), _motion(s, motion), parameters[s])
 
 
 @inlined
-def _judge(s: int, swarm: Arrays, motion: Arrays, views: Arrays, acts: Arrays) -> int:
+def _command(
+    s: int, i: int, row: int, velocity: Float32Array, law: FloatArray, swarm: Arrays, motion: Arrays,
+    views: Arrays, acts: Arrays,
+) -> None:  # fmt: skip
+    """Limit what a follower is asked for, and pay for how it differs from the law's wish and from before."""
+    ego, memory = views[1][s, i], views[4][s, i]
+    flown, wanted, asked, earned = acts[0][s, i], acts[1][s, i], acts[2][s, i], acts[6][s, i]
+    k = swarm[1][s, at.FIRST_STREAM] + i - 1
+    off = 0.0
+    for axis in range(3):
+        asked[axis] = velocity[k, axis]
+        off += (asked[axis] - wanted[axis]) ** 2
+    if math.isfinite(off):
+        # Otherwise the law's own command is flown, as a companion does.
+        overrule(ego, flown, memory, law, asked)
+    changed = 0.0
+    for axis in range(3):
+        changed += (memory[PREVIOUS + axis] - flown[axis]) ** 2
+        motion[1][s, row, i, axis] = memory[PREVIOUS + axis]
+    earned[term.SMOOTHNESS] = -changed
+    earned[term.RESIDUAL] = -off if off < _LARGEST_DIFFERENCE else -_LARGEST_DIFFERENCE
+
+
+@inlined
+def end_of(s: int, swarm: Arrays, motion: Arrays, views: Arrays, acts: Arrays) -> int:
     """Return how a swarm's trial ends now, `FLYING` if it goes on."""
     _, places, parameters, _, _, goals, _, _ = swarm
     history, touching, concerned, leader = motion[0][s], motion[8][s], acts[4][s], acts[5][s]
@@ -266,45 +298,45 @@ def _judge(s: int, swarm: Arrays, motion: Arrays, views: Arrays, acts: Arrays) -
 
 
 @inlined
-def _pay(
-    s: int, end: int, rays: Arrays, numbers: FloatArray, weights: FloatArray, swarm: Arrays, motion: Arrays,
+def pay_one(
+    s: int, i: int, rays: Arrays, numbers: FloatArray, weights: FloatArray, swarm: Arrays, motion: Arrays,
     views: Arrays, acts: Arrays, paid: Arrays,
 ) -> None:  # fmt: skip
-    """Write what the followers of a swarm have earned in this step, and whose life is over."""
+    """Write what follower i has earned in this step, and whether its life is over."""
     places, parameters = swarm[1], swarm[2]
     tracks, ranges = views[0][s], views[3][s]
     concerned, earned, sums, totals = acts[4][s], acts[6][s], acts[7][s], acts[8][s]
     terms_out, reward, terminated, truncated = paid
+    end = places[s, at.END]
     states, rooms = motion[0][s, places[s, at.STEP] % motion[0].shape[1]], motion[7][s]
-    for i in range(1, states.shape[0]):
-        perceived = 0
-        for j in range(states.shape[0]):
-            if j != i and tracks[i, j, IS_KNOWN] > 0.0:
-                perceived += 1
-        reward_terms(
-            i, states, rooms[i], parameters[s, place.GROUND], perceived, ranges[i], rays[4], numbers, earned[i]
-        )  # fmt: skip
-        is_concerned = concerned[0] == i or concerned[1] == i
-        crashed = is_concerned and (end == UAV_UAV or end == LEADER_FOLLOWER or end == OBSTACLE_HIT)
-        lost = end == LEADER_LOST or (is_concerned and end == ALTITUDE)
-        if end == SCATTERED:
-            square = 0.0
-            for axis in range(3):
-                square += (states[i, axis] - states[0, axis]) ** 2
-            farthest = parameters[s, place.GATHERED if acts[5][s, PHASE] == FINISHED else at.STRAYED]
-            lost = is_concerned or not square <= farthest * farthest
-        earned[i, term.COLLISION] = -1.0 if crashed else 0.0
-        earned[i, term.LOSS] = -1.0 if lost else 0.0
-        k = places[s, at.FIRST_STREAM] + i - 1
-        total = 0.0
-        for index in range(earned.shape[1]):
-            terms_out[k, index] = earned[i, index]
-            sums[i, index] += earned[i, index]
-            total += weights[index] * earned[i, index]
-        totals[i] += total
-        reward[k] = total
-        terminated[k] = crashed or lost
-        truncated[k] = end != FLYING and not (crashed or lost)
+    perceived = 0
+    for j in range(states.shape[0]):
+        if j != i and tracks[i, j, IS_KNOWN] > 0.0:
+            perceived += 1
+    reward_terms(
+        i, states, rooms[i], parameters[s, place.GROUND], perceived, ranges[i], rays[4], numbers, earned[i]
+    )  # fmt: skip
+    is_concerned = concerned[0] == i or concerned[1] == i
+    crashed = is_concerned and end in (UAV_UAV, LEADER_FOLLOWER, OBSTACLE_HIT)
+    lost = end == LEADER_LOST or (is_concerned and end == ALTITUDE)
+    if end == SCATTERED:
+        square = 0.0
+        for axis in range(3):
+            square += (states[i, axis] - states[0, axis]) ** 2
+        farthest = parameters[s, place.GATHERED if acts[5][s, PHASE] == FINISHED else at.STRAYED]
+        lost = is_concerned or not square <= farthest * farthest
+    earned[i, term.COLLISION] = -1.0 if crashed else 0.0
+    earned[i, term.LOSS] = -1.0 if lost else 0.0
+    k = places[s, at.FIRST_STREAM] + i - 1
+    total = 0.0
+    for index in range(earned.shape[1]):
+        terms_out[k, index] = earned[i, index]
+        sums[i, index] += earned[i, index]
+        total += weights[index] * earned[i, index]
+    totals[i] += total
+    reward[k] = total
+    terminated[k] = crashed or lost
+    truncated[k] = end != FLYING and not (crashed or lost)
 
 
 @compiled(
@@ -351,14 +383,17 @@ def step_swarms(
         paid: out, rewards and ends.
         snapshots: of the recent past.
     """
+    n = motion[3].shape[1]
     for s in range(first, last):
-        _fly_on(s, velocity, bank, law, swarm, motion, views, acts)
-        step = swarm[1][s, at.STEP]
-        settle(step, _world(s, bank, swarm), _motion(s, motion), swarm[2][s])
-        add_sample(
-            motion[0][s, step % motion[0].shape[1]], motion[7][s], swarm[2][s, place.CAP], acts[3][s]
-        )  # fmt: skip
-        _observe(s, contract, bank, rays, law, swarm, motion, views, acts, shown, snapshots)
-        end = _judge(s, swarm, motion, views, acts)
-        swarm[1][s, at.END] = end
-        _pay(s, end, rays, numbers, weights, swarm, motion, views, acts, paid)
+        for i in range(n):
+            fly_one(s, i, velocity, bank, law, swarm, motion, views, acts)
+        swarm[1][s, at.STEP] += 1
+        take_sample(s, swarm, motion, acts)
+        for i in range(n):
+            see_one(
+                s, i, contract, bank, rays, law, swarm, motion, views, acts, shown, snapshots, views[5][s],
+                views[6][s],
+            )  # fmt: skip
+        swarm[1][s, at.END] = end_of(s, swarm, motion, views, acts)
+        for i in range(1, n):
+            pay_one(s, i, rays, numbers, weights, swarm, motion, views, acts, paid)

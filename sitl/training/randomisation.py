@@ -5,12 +5,13 @@ from typing import Annotated
 
 import numpy as np
 from numpy.random import Generator
-from pydantic import Field, Strict, model_validator
+from pydantic import Strict, model_validator
 
 from companion.messages import FloatArray
 from companion.settings import Settings
 from companion.yaml_problems import misfit
-from sitl.abstract import grid_kernels, layout_kernels as place
+from sitl.abstract import grid_kernels
+from sitl.abstract import layout_kernels as place
 from sitl.abstract.settings import CONTROL_STEP_S
 from sitl.dynamics_kernels import DRAG, HORIZONTAL_GAIN, VERTICAL_GAIN
 

@@ -7,7 +7,7 @@ is at every control step.
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.random import Generator, SeedSequence
@@ -203,7 +203,7 @@ def _free_cells(scene: SwarmScene, swarm: SwarmSettings, obstacles: World) -> Fl
     """Return the cells of the start (c, 2) in which followers may begin: all but the leader's own."""
     grid = cells(swarm.followers + 1, swarm.spacing_m)
     apart = np.hypot(*(grid - scene.starts_world[0, :2]).T)
-    grid = grid[np.arange(len(grid)) != int(np.argmin(apart))]
+    grid = np.asarray(grid[np.arange(len(grid)) != int(np.argmin(apart))])
     if len(obstacles.kinds) == 0:
         return grid
     places = np.column_stack([grid, np.full(len(grid), scene.starts_world[0, 2])])
