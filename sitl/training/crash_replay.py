@@ -4,6 +4,7 @@ Source: the idea is from Z. Huang et al., "Collision avoidance and navigation fo
 end-to-end deep reinforcement learning", 2024.
 """
 
+import dataclasses
 from dataclasses import dataclass
 from typing import Any
 
@@ -48,6 +49,32 @@ class CrashReplay:
     def __len__(self) -> int:
         """Return how many are kept."""
         return len(self.stored)
+
+    def state(self) -> list[dict[str, Any]]:
+        """Return what is kept as plain values and arrays, for `restore`."""
+        return [
+            {
+                "scene": crash.scene,
+                "step": crash.step,
+                "conditions": dataclasses.asdict(crash.conditions),
+                "arrays": [array.copy() for array in crash.arrays],
+                "uses": crash.uses,
+            }
+            for crash in self.stored
+        ]
+
+    def restore(self, state: list[dict[str, Any]]) -> None:
+        """Keep what such a state says."""
+        self.stored = [
+            StoredCrash(
+                scene=crash["scene"],
+                step=crash["step"],
+                conditions=Conditions(**crash["conditions"]).copied(),
+                arrays=tuple(array.copy() for array in crash["arrays"]),
+                uses=crash["uses"],
+            )
+            for crash in state
+        ]
 
     def keep(self, cohort: Cohort, s: int, scene: int) -> None:
         """Keep what swarm `s`, whose trial has just gone wrong, was like some time before."""

@@ -60,8 +60,8 @@ class ActorEncoder(nn.Module):
 class CriticEncoder(nn.Module):
     """Features for the critic: the truth, and of what is seen the nearest surface in every direction.
 
-    The truth holds the leader and the nearest others already, so neither needs an encoder: this critic costs a
-    tenth of the actor.
+    The truth holds the leader and the nearest others already, so neither needs an encoder: this critic costs
+    a tenth of the actor.
     """
 
     def __init__(self, contract: Contract, privileged: int) -> None:
