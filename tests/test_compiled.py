@@ -27,13 +27,17 @@ out = np.empty(3)
 """
 
 
-def run(folder: Path, script: str) -> str:
+def run(folder: Path, script: str, **variables: str) -> str:
     """Return what a script prints; it lives in a file, as cached kernels must."""
     path = folder / "kernels.py"
     path.write_text(DECLARE + script)
     result = subprocess.run(
         [sys.executable, str(path)],
-        env={"NUMBA_CACHE_DIR": str(folder / "cache"), "PYTHONPATH": str(Path(__file__).parents[1])},
+        env={
+            "NUMBA_CACHE_DIR": str(folder / "cache"),
+            "PYTHONPATH": str(Path(__file__).parents[1]),
+            **variables,
+        },
         capture_output=True,
         text=True,
         check=False,
@@ -100,3 +104,37 @@ print(sum(sum(kernel.stats.cache_misses.values()) for kernel in (scale, quotient
 """
     assert run(tmp_path, script).split() == ["0", "2"]
     assert run(tmp_path, script).split() == ["2", "0"]
+
+
+def test_the_same_source_runs_on_a_card_even_if_the_processor_may_compile_no_more(tmp_path: Path) -> None:
+    script = """
+from numba import cuda
+from companion.compiled import for_cuda
+
+warm_up()
+
+def scale_own(values, out):
+    place = cuda.grid(1)
+    if place < out.shape[0]:
+        scale(values[place:place + 1], out[place:place + 1])
+
+values = np.array([1.0, 2.0, 3.0])
+for_cuda(scale_own, entry=True)[2, 2](values, out)
+print(out.tolist())
+twin = for_cuda(scale)
+print(type(twin).__name__, type(twin.__globals__["doubled"]).__name__)
+"""
+    lines = run(tmp_path, script, NUMBA_ENABLE_CUDASIM="1").splitlines()
+    assert lines == ["[2.0, 4.0, 6.0]", "function function"]
+
+
+def test_functions_for_a_card_are_built_once_and_never_from_what_the_processor_runs(tmp_path: Path) -> None:
+    script = """
+from companion.compiled import for_cuda
+
+first, second = for_cuda(scale), for_cuda(scale)
+inner = first.py_func.__globals__["doubled"]
+print(type(first).__name__, inner is second.py_func.__globals__["doubled"], inner is doubled)
+print(scale.__globals__["doubled"] is doubled if hasattr(scale, "__globals__") else doubled.py_func(1.5))
+"""
+    assert run(tmp_path, script).splitlines() == ["CUDADispatcher True False", "3.0"]
