@@ -250,6 +250,45 @@ def _hide_behind(
                 ranges[column, row] = math.inf
 
 
+@inlined
+def _sine_at(row: int, across: float, up: float, row_edges: FloatArray) -> float:
+    """Return the sine of a cell's elevation in the body's own axes."""
+    ce = 0.5 * (row_edges[row, 1] + row_edges[row + 1, 1])
+    se = 0.5 * (row_edges[row, 2] + row_edges[row + 1, 2])
+    return float(ce * across + se * up)
+
+
+@inlined
+def _hide_out_of_view(
+    column: int, across: float, up: float, limits: FloatArray, row_edges: FloatArray, ranges: FloatArray
+) -> None:
+    """Take away the cells of a column that lie outside the tilted field of view.
+
+    Args:
+        column: which.
+        across: the body's upward axis along the column's azimuth.
+        up: its upright component.
+        limits: of the grid.
+        row_edges: of its rows.
+        ranges: changed in place.
+    """
+    last = ranges.shape[1] - 1
+    # Little tilted, higher rows are higher in the body's axes, too: only rows at the ends can be out of view.
+    ordered = row_edges[last + 1, 1] * up > row_edges[last + 1, 2] * abs(across)
+    for row in range(last + 1):
+        sine = _sine_at(row, across, up, row_edges)
+        if sine < limits[SIGHT_LOWEST] or sine > limits[SIGHT_HIGHEST]:
+            ranges[column, row] = math.inf
+        elif ordered:
+            break
+    if ordered:
+        for row in range(last, -1, -1):
+            sine = _sine_at(row, across, up, row_edges)
+            if sine >= limits[SIGHT_LOWEST] and sine <= limits[SIGHT_HIGHEST]:
+                break
+            ranges[column, row] = math.inf
+
+
 @compiled(
     "void(int32[::1], float64[:,::1], float64[:,::1], int32[::1], int64, float64[:,::1], uint8[::1], float64,"
     " float64, float64, float64, float64, float64[::1], float64[::1], float64[:,::1], float64[:,::1],"
@@ -329,10 +368,6 @@ def draw_grid(
             0.5 * (column_edges[column, 0] + column_edges[column + 1, 0]),
             0.5 * (column_edges[column, 1] + column_edges[column + 1, 1]),
         )
-        across = ca * up_heading[0] + sa * up_heading[1]
-        for row in range(elevations):
-            ce = 0.5 * (row_edges[row, 1] + row_edges[row + 1, 1])
-            se = 0.5 * (row_edges[row, 2] + row_edges[row + 1, 2])
-            sine = ce * across + se * up_heading[2]
-            if sine < limits[SIGHT_LOWEST] or sine > limits[SIGHT_HIGHEST]:
-                ranges[column, row] = math.inf
+        _hide_out_of_view(
+            column, ca * up_heading[0] + sa * up_heading[1], up_heading[2], limits, row_edges, ranges
+        )
