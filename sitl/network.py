@@ -53,23 +53,21 @@ class Network:
 
     def carry(self, datagram: Datagram) -> list[Datagram]:
         """Return what becomes of one datagram sent at its `t_ns`: none, one or two, stamped with arrival."""
-        if self._outage_ns[0] <= datagram.t_ns < self._outage_ns[1]:
+        t_ns, settings = datagram.t_ns, self._settings
+        if self._outage_ns[0] <= t_ns < self._outage_ns[1]:
             return []
         if not self._chances:
             self._chances = self._rng.random((_CHANCES, _PER_DATAGRAM)).tolist()
         fate_loss, fate_twice, *waits = self._chances.pop()
-        settings = self._settings
         if fate_loss < settings.loss:
             return []
-        return [
-            Datagram(
-                datagram.t_ns + int(1e6 * (settings.latency_ms + wait * settings.jitter_ms)),
-                datagram.source,
-                datagram.destination,
-                datagram.payload,
-            )
-            for wait in waits[: 2 if fate_twice < settings.duplication else 1]
-        ]
+        source, destination, payload = datagram.source, datagram.destination, datagram.payload
+        latency_ms, jitter_ms = settings.latency_ms, settings.jitter_ms
+        first = Datagram(t_ns + int(1e6 * (latency_ms + waits[0] * jitter_ms)), source, destination, payload)
+        if fate_twice >= settings.duplication:
+            return [first]
+        again = Datagram(t_ns + int(1e6 * (latency_ms + waits[1] * jitter_ms)), source, destination, payload)
+        return [first, again]
 
     def send(self, datagram: Datagram) -> None:
         """Put one datagram on the wire at its `t_ns`."""
