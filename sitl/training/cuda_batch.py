@@ -69,10 +69,13 @@ class CudaSwarmBatch(SwarmBatch):
 
         Raises:
             KeyError: if there is no such contract.
-            StartError: if there is no graphics card.
+            StartError: if there is no graphics card, or nothing that compiles for it.
         """
         if not cuda.is_available():
             raise StartError("no graphics card that CUDA can use was found; train with --device cpu instead")
+        if cuda.implementation == "Built-in" and not numba.config.ENABLE_CUDASIM:
+            # The compiler that Numba itself brings along no longer knows the minimum of two numbers.
+            raise StartError("the package numba-cuda is missing: install the extra gpu")
         # Few swarms at a time begin anew: that is no reason for a warning.
         numba.config.CUDA_LOW_OCCUPANCY_WARNINGS = 0
         super().__init__(settings, contract, seed, 1, bank=bank, on_scene=on_scene)
@@ -86,7 +89,8 @@ class CudaSwarmBatch(SwarmBatch):
         self.observation = Observation(*self._card_shown)
         flags = (np.zeros(self.streams, np.bool_), np.zeros(self.streams, np.bool_))
         self._card_paid = _sent((self._result.terms, self._result.reward, *flags))
-        self._result = StepResult(self.observation, *self._card_paid, finished=[])
+        terms, reward, terminated, truncated = self._card_paid
+        self._result = StepResult(self.observation, terms, reward, terminated, truncated, [])
 
     def step(self, velocity: Any) -> StepResult:
         """Fly on.

@@ -97,3 +97,10 @@ def test_without_a_graphics_card_it_says_so_in_one_sentence(monkeypatch: pytest.
     monkeypatch.setattr(cuda, "is_available", lambda: False)
     with pytest.raises(StartError, match=r"no graphics card .* --device cpu"):
         CudaSwarmBatch(EnvironmentSettings(), "best-1", 0)
+
+
+def test_without_its_compiler_it_names_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cuda, "is_available", lambda: True)
+    monkeypatch.setattr(cuda, "implementation", "Built-in")
+    with pytest.raises(StartError, match=r"numba-cuda is missing: install the extra gpu"):
+        CudaSwarmBatch(EnvironmentSettings(), "best-1", 0)
