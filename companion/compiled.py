@@ -75,7 +75,8 @@ def for_cuda(function: _Function, *, entry: bool = False) -> _Function:
 
     Args:
         function: a kernel, or a plain function that calls kernels.
-        entry: whether it is launched from the processor; otherwise other functions of the card call it.
+        entry: whether it is launched from the processor, and cached on disk; otherwise other functions of the
+            card call it.
     """
     # Drones have no such card, and the import takes time.
     from numba import config, cuda
@@ -83,7 +84,7 @@ def for_cuda(function: _Function, *, entry: bool = False) -> _Function:
     twin = _twin(function)
     if config.ENABLE_CUDASIM and not entry:
         return cast(_Function, twin)
-    return cast(_Function, cuda.jit(twin) if entry else cuda.jit(device=True)(twin))
+    return cast(_Function, cuda.jit(cache=True)(twin) if entry else cuda.jit(device=True)(twin))
 
 
 _device_functions: dict[FunctionType, Any] = {}

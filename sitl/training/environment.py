@@ -10,6 +10,7 @@ from numpy.random import SeedSequence
 from numpy.typing import NDArray
 
 from companion.control.observation import CONTRACTS
+from companion.kernel_cache import forget_stale
 from companion.messages import Float32Array
 from sitl.abstract.judging_kernels import (
     ALIGNED,
@@ -77,6 +78,8 @@ class SwarmBatch:
         Raises:
             KeyError: if there is no such contract.
         """
+        # Kernels of yesterday would teach how to fly in yesterday's world.
+        forget_stale(("sitl",))
         self.settings, self.contract = settings, contract
         self._number = CONTRACTS[contract].number
         self.bank = bank if bank is not None else SceneBank.build(settings, on_scene)
