@@ -5,7 +5,7 @@ from typing import Protocol
 
 import numpy as np
 
-from companion.clock import ns_to_seconds
+from companion.clock import ns_to_seconds, seconds_to_ns
 from companion.control.action import Pilot, PolicyCounters
 from companion.control.followers.laws_kernels import steer
 from companion.control.followers.layout_kernels import (
@@ -38,6 +38,8 @@ from companion.messages import (
 )
 
 _LONGEST_STEP_S = 0.1
+# A policy has learned to decide 20 times a second; ticks come oftener and not quite evenly.
+_POLICY_STEP_NS = seconds_to_ns(0.035)
 _UP = np.array([0.0, 0.0, 1.0])
 
 
@@ -115,6 +117,7 @@ class FollowerRole:
         self._alone_since_ns = 0
         self._up = np.zeros(3)
         self._seen_scan: tuple[int, float] | None = None
+        self._held: FollowerDecision | None = None
 
     @property
     def counters(self) -> PolicyCounters | None:
@@ -170,6 +173,13 @@ class FollowerRole:
             return _decision(odometry, np.zeros(3))
         if odometry.reset_counter != self._reset_counter:
             self.reset(odometry)
+        if (
+            self._learned is not None
+            and self._held is not None
+            and self._decided_ns is not None
+            and t_ns - self._decided_ns < _POLICY_STEP_NS
+        ):
+            return self._held
         if self._decided_ns is None:
             self._decided_ns = self._alone_since_ns = t_ns
         seen = self._view.at(odometry, t_ns)
@@ -189,7 +199,11 @@ class FollowerRole:
             remarks = (*remarks, Surroundings(t_ns, seen, *self._seen_scan, self._ranges.copy()))
             self._seen_scan = None
         self._decided_ns = t_ns
-        return _decision(odometry, np.asarray(rotation.rotate(rotation.from_yaw(yaw), v_heading)), remarks)
+        decision = _decision(
+            odometry, np.asarray(rotation.rotate(rotation.from_yaw(yaw), v_heading)), remarks
+        )
+        self._held = FollowerDecision(decision.command)
+        return decision
 
     def _describe_self(self, odometry: Odometry, t_ns: int) -> float:
         """Write the own state at `t_ns` for the law; return the heading."""
