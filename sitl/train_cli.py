@@ -63,10 +63,7 @@ def train(
         start = None if settings.start is None else definition.parent / settings.start
         if start is not None and not start.is_file():
             raise ProfileError(f"{definition}: start: there is no file {start}")
-        stop = _Stop()
-        trained = _train(
-            settings, folder, resume, start, updates, minutes, device, workers, stop, json_output
-        )
+        trained = _train(settings, folder, resume, start, updates, minutes, device, workers)
         if trained.stopped:
             typer.echo(f"stopped after update {trained.update}; --resume goes on from there", err=True)
             raise KeyboardInterrupt
@@ -82,13 +79,23 @@ def train(
     conclude(body, json_output)
 
 
+_STOPS = (signal.SIGINT, signal.SIGTERM)
+
+
 class _Stop:
     """Ctrl-C and SIGTERM let the present update end and be saved; a second one does not wait."""
 
     def __init__(self) -> None:
         self._asked = False
-        signal.signal(signal.SIGINT, self._ask)
-        signal.signal(signal.SIGTERM, self._ask)
+        self._before: list[Any] = []
+
+    def __enter__(self) -> "_Stop":
+        self._before = [signal.signal(number, self._ask) for number in _STOPS]
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for number, handler in zip(_STOPS, self._before, strict=True):
+            signal.signal(number, handler)
 
     def __call__(self) -> bool:
         return self._asked
@@ -140,32 +147,32 @@ def _train(
     minutes: float | None,
     device: str,
     workers: int | None,
-    stop: _Stop,
-    quiet: bool,
 ) -> "Trained":
     from sitl.campaign.workers import cores
-    from sitl.training.runner import Limits, Training
+    from sitl.training.runner import Limits, Training, must_be_free
     from sitl.training.torch_threads import calm_threads
 
     threads = workers or cores()
     calm_threads()
-    batch = _batch(settings, device, threads)
-    last = updates or settings.schedule.updates
-    told = _Told(settings, last, minutes)
+    if not resume:
+        # Before minutes go into scenes.
+        must_be_free(folder)
     training = Training(
         settings,
-        batch,
+        _batch(settings, device, threads),
         folder,
         resume=resume,
         start=start,
         device=device,
-        threads=threads,
+        threads=threads if device == "cpu" else 1,
         evaluate=_evaluation(settings, threads),
     )
+    last = updates or settings.schedule.updates
+    told = _Told(settings, last, minutes)
     try:
-        return training.run(
-            Limits(last, None if minutes is None else minutes * 60.0), stop, on_update=told.show
-        )
+        with _Stop() as stop:
+            wall_s = None if minutes is None else minutes * 60.0
+            return training.run(Limits(last, wall_s), stop, on_update=told.show)
     finally:
         told.close()
         training.close()
@@ -189,13 +196,13 @@ def _imitate(
         settings, _batch(settings, "cpu", threads), folder, evaluate=_evaluation(settings, threads)
     )
     line = ProgressLine(f"{settings.title}, imitation", "rounds")
-    stop = _Stop()
 
     def show(number: int, row: Mapping[str, float]) -> None:
         line.show(Progress(number, plan.rounds, 0), f"{row['error_mps']:.3f} m/s from the law")
 
     try:
-        done = imitation.run(stop, show)
+        with _Stop() as stop:
+            done = imitation.run(stop, show)
     finally:
         line.close()
         imitation.close()
@@ -218,20 +225,22 @@ def _imitate(
 
 def _batch(settings: "TrainingSettings", device: str, workers: int) -> "Batch":
     """Build the swarms, and say how far their scenes are."""
-    from companion.errors import ProfileError
     from sitl.campaign.progress import ProgressLine
     from sitl.campaign.runner import Progress
     from sitl.training.environment import SwarmBatch
 
+    kind = SwarmBatch
     if device == "cuda":
-        raise ProfileError("--device cuda: not there yet")
+        from sitl.training.cuda_batch import CudaSwarmBatch
+
+        kind = CudaSwarmBatch
     line = ProgressLine("scenes", "built")
 
     def show(done: int, total: int) -> None:
         line.show(Progress(done, total, 0))
 
     try:
-        return SwarmBatch(settings.environment, settings.contract, settings.seed, workers, on_scene=show)
+        return kind(settings.environment, settings.contract, settings.seed, workers, on_scene=show)
     finally:
         line.close()
 

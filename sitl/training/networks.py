@@ -229,7 +229,8 @@ class FollowerCritic(MLPModel):  # type: ignore[misc]
 
     def valued(self, latent: torch.Tensor) -> torch.Tensor:
         """Return values (batch, 1) in units of the reward for features."""
-        return self.scaled(latent) * self.value_scale + self.value_mean
+        values: torch.Tensor = self.scaled(latent) * self.value_scale + self.value_mean
+        return values
 
     def follow_scale(self, returns: torch.Tensor) -> None:
         """Let mean and scale follow what was seen, without changing any value that the network says."""

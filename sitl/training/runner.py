@@ -1,5 +1,6 @@
 """The loop of a training: fly, learn, write down, and go on where an earlier run stopped."""
 
+import copy
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -98,12 +99,16 @@ class Training:
         self.settings, self.out, self._evaluate = settings, out, evaluate
         self._clock = clock or SystemClock()
         known = _known(out / LAST, settings) if resume else None
-        if known is None and (out / LAST).exists():
-            raise ProfileError(
-                f"{out}: holds a training already; go on with --resume, or name another folder"
-            )
+        if known is None:
+            must_be_free(out)
+        self.update = 0 if known is None else known.update
         self.environment = VectorEnvironment(
-            batch, settings.contract, device, channels=2 if settings.network.kind == "paper" else 1
+            batch,
+            settings.contract,
+            device,
+            channels=2 if settings.network.kind == "paper" else 1,
+            update=self.update,
+            state=None if known is None else checkpoints.load_swarms(out / SWARMS, known.update),
         )
         observations = self.environment.get_observations()
         actor, critic = build(
@@ -114,13 +119,13 @@ class Training:
         self.algorithm = ShardedPpo(
             actor, critic, observations, settings.ppo, seed=settings.seed, device=device, threads=threads
         )
-        self.update, self.samples, self._wall_before_s = 0, 0, 0.0
+        self._on_cpu = device == "cpu"
+        self.samples, self._wall_before_s = 0, 0.0
         self.best_score: float | None = None
         if known is not None:
             self.algorithm.load(known.algorithm)
-            self.update, self.samples, self._wall_before_s = known.update, known.samples, known.wall_s
+            self.samples, self._wall_before_s = known.samples, known.wall_s
             self.best_score = known.best_score
-            self.environment.go_on(self.update, checkpoints.load_swarms(out / SWARMS, self.update))
         out.mkdir(parents=True, exist_ok=True)
         (out / "configuration.yaml").write_text(configuration_text(settings), encoding="utf-8")
         self.curve = Curve(out, self.update)
@@ -239,7 +244,9 @@ class Training:
         """Evaluate the policy as it is, and keep it if it is the best."""
         assert self._evaluate is not None
         with torch.no_grad():
-            judged = dict(self._evaluate(Policy(self.algorithm.actor)))
+            # Evaluations fly on the processor.
+            actor = self.algorithm.actor
+            judged = dict(self._evaluate(Policy(actor if self._on_cpu else copy.deepcopy(actor).cpu())))
         if "score" in judged and (self.best_score is None or judged["score"] > self.best_score):
             self.best_score = judged["score"]
             policy = self.checkpoint(self._wall_before_s, judged).policy_only()
@@ -253,6 +260,16 @@ class Training:
 
     def _seconds_since(self, began_ns: int) -> float:
         return (self._clock.now_ns() - began_ns) * 1e-9
+
+
+def must_be_free(folder: Path) -> None:
+    """Make sure that a new training would not overwrite another.
+
+    Raises:
+        ProfileError: if the folder holds one.
+    """
+    if (folder / LAST).exists():
+        raise ProfileError(f"{folder}: holds a training already; go on with --resume, or name another folder")
 
 
 def load_policy(path: Path) -> tuple[Policy, Checkpoint]:

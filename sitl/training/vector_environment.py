@@ -1,6 +1,5 @@
 """The swarms as `rsl_rl` knows environments: every follower is one of them."""
 
-from collections.abc import Sequence
 from typing import Any, Protocol
 
 import numpy as np
@@ -49,7 +48,8 @@ class VectorEnvironment(VecEnv):  # type: ignore[misc]  # rsl_rl carries no type
         device: str = "cpu",
         *,
         channels: int = 2,
-        terms: Sequence[str] = TERMS,
+        update: int = 0,
+        state: State | None = None,
     ) -> None:
         """Wrap a batch of swarms.
 
@@ -58,7 +58,8 @@ class VectorEnvironment(VecEnv):  # type: ignore[misc]  # rsl_rl carries no type
             contract: that its observations follow.
             device: where the algorithm wants observations.
             channels: of the grid that the network looks at, which are kept.
-            terms: names of the reward's terms, in the batch's order.
+            update: after which it goes on; trials begin in another way each time.
+            state: of the batch, to go on from exactly.
         """
         self.batch = batch
         self.num_envs = batch.streams
@@ -68,13 +69,12 @@ class VectorEnvironment(VecEnv):  # type: ignore[misc]  # rsl_rl carries no type
         self.device = device
         self.cfg: dict[str, Any] = {}
         self._groups = [*CONTRACTS[contract].inputs, "privileged"]
-        self._terms = np.zeros(len(terms))
+        self._terms = np.zeros(len(TERMS))
         self._channels = channels
-        self._names = tuple(terms)
         self._reward = 0.0
         self._steps = 0
         self._finished: list[EpisodeSummary] = []
-        self._now = self._copied(batch.reset())
+        self._now = self._copied(batch.reset(update) if state is None else batch.restore(state))
 
     def get_observations(self) -> TensorDict:
         """Return what every stream sees now."""
@@ -102,16 +102,10 @@ class VectorEnvironment(VecEnv):  # type: ignore[misc]  # rsl_rl carries no type
         """Return mean reward and unweighted terms since the last call, and the trials that ended."""
         steps = max(self._steps, 1)
         means = {"reward": self._reward / steps}
-        means |= {
-            f"term_{name}": float(sum_) / steps for name, sum_ in zip(self._names, self._terms, strict=True)
-        }
+        means |= {f"term_{name}": float(sum_) / steps for name, sum_ in zip(TERMS, self._terms, strict=True)}
         finished = self._finished
         self._terms, self._reward, self._steps, self._finished = np.zeros_like(self._terms), 0.0, 0, []
         return means, finished
-
-    def go_on(self, update: int, state: State | None) -> None:
-        """Go on after an update: exactly, from a state, or with trials that begin anew without one."""
-        self._now = self._copied(self.batch.reset(update) if state is None else self.batch.restore(state))
 
     def _copied(self, seen: Observation) -> TensorDict:
         """Return copies, because the batch writes the next step over its arrays."""
@@ -120,5 +114,5 @@ class VectorEnvironment(VecEnv):  # type: ignore[misc]  # rsl_rl carries no type
             for name in self._groups
             if name != "grid"
         }
-        copies["grid"] = torch.as_tensor(seen.grid[:, : self._channels], device=self.device).clone()
+        copies["grid"] = torch.as_tensor(seen.grid, device=self.device)[:, : self._channels].clone()
         return TensorDict(copies, batch_size=[self.num_envs])
