@@ -81,7 +81,7 @@ class ShardedPpo(PPO):  # type: ignore[misc]  # rsl_rl carries no types
             num_learning_epochs=settings.epochs,
             num_mini_batches=settings.minibatches,
             clip_param=settings.clip,
-            gamma=settings.gamma,
+            gamma=settings.gamma**settings.hold,
             lam=settings.lambda_,
             value_loss_coef=settings.value,
             entropy_coef=settings.entropy,

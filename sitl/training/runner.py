@@ -107,6 +107,8 @@ class Training:
             settings.contract,
             device,
             channels=2 if settings.network.kind == "paper" else 1,
+            hold=settings.ppo.hold,
+            residual=settings.network.action == "residual",
             update=self.update,
             state=None if known is None else checkpoints.load_swarms(out / SWARMS, known.update),
         )

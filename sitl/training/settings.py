@@ -57,7 +57,10 @@ class PpoSettings(Settings):
     """Proximal policy optimisation."""
 
     steps: int = Field(default=32, ge=2, le=1024)
-    """Of every stream between two updates."""
+    """Actions of every stream between two updates."""
+    hold: int = Field(default=1, ge=1, le=20)
+    """Steps of 0.05 s for which an action lasts while it is learned what it is worth: the lag of a vehicle
+    swallows what is tried out for a single step. In flight every step has its own."""
     epochs: int = Field(default=2, ge=1, le=20)
     """How often each sample is learned from."""
     minibatches: int = Field(default=8, ge=1, le=1024)

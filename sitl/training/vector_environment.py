@@ -48,6 +48,8 @@ class VectorEnvironment(VecEnv):  # type: ignore[misc]  # rsl_rl carries no type
         device: str = "cpu",
         *,
         channels: int = 2,
+        hold: int = 1,
+        residual: bool = False,
         update: int = 0,
         state: State | None = None,
     ) -> None:
@@ -58,6 +60,8 @@ class VectorEnvironment(VecEnv):  # type: ignore[misc]  # rsl_rl carries no type
             contract: that its observations follow.
             device: where the algorithm wants observations.
             channels: of the grid that the network looks at, which are kept.
+            hold: how many steps of the swarms an action lasts.
+            residual: what lasts is its difference to the law's command, which changes with every step.
             update: after which it goes on; trials begin in another way each time.
             state: of the batch, to go on from exactly.
         """
@@ -71,6 +75,8 @@ class VectorEnvironment(VecEnv):  # type: ignore[misc]  # rsl_rl carries no type
         self._groups = [*CONTRACTS[contract].inputs, "privileged"]
         self._terms = np.zeros(len(TERMS))
         self._channels = channels
+        self._hold = hold
+        self._residual = residual
         self._reward = 0.0
         self._steps = 0
         self._finished: list[EpisodeSummary] = []
@@ -83,20 +89,32 @@ class VectorEnvironment(VecEnv):  # type: ignore[misc]  # rsl_rl carries no type
     def step(
         self, actions: torch.Tensor
     ) -> tuple[TensorDict, torch.Tensor, torch.Tensor, dict[str, torch.Tensor]]:
-        """Fly one step with velocities (streams, 3) in the heading frame, m/s."""
-        velocity = actions.numpy() if self.device == "cpu" else actions
-        stepped = self.batch.step(velocity)
+        """Fly on with velocities (streams, 3) in the heading frame, m/s, for as long as an action lasts.
+
+        A stream whose trial ends in between gets no reward for the next one, which the law begins.
+        """
+        velocity = actions.to(torch.float32)
+        reward = torch.zeros(self.num_envs, device=self.device)
+        died = torch.zeros(self.num_envs, dtype=torch.bool, device=self.device)
+        cut = torch.zeros_like(died)
+        change = velocity - self._reference if self._residual else None
+        for step in range(self._hold):
+            if change is not None and step > 0:
+                velocity = self._reference + change
+            stepped = self.batch.step(velocity.numpy() if self.device == "cpu" else velocity)
+            self._reference = torch.as_tensor(stepped.observation.reference, device=self.device).clone()
+            over = died | cut
+            reward += torch.where(over, 0.0, torch.as_tensor(stepped.reward, device=self.device))
+            died |= torch.as_tensor(stepped.terminated, device=self.device).bool() & ~over
+            cut |= torch.as_tensor(stepped.truncated, device=self.device).bool() & ~over
+            if change is not None:
+                change = torch.where((died | cut)[:, None], 0.0, change)
+            self._terms += torch.as_tensor(stepped.terms).double().mean(0).cpu().numpy()
+            self._reward += float(torch.as_tensor(stepped.reward).mean())
+            self._steps += 1
+            self._finished.extend(stepped.finished)
         self._now = self._copied(stepped.observation)
-        reward, terminated, truncated = (
-            torch.as_tensor(array, device=self.device).clone()
-            for array in (stepped.reward, stepped.terminated, stepped.truncated)
-        )
-        self._terms += torch.as_tensor(stepped.terms).double().mean(0).cpu().numpy()
-        self._reward += float(reward.mean())
-        self._steps += 1
-        self._finished.extend(stepped.finished)
-        outs = truncated.bool() & ~terminated.bool()
-        return self._now, reward, terminated.bool() | truncated.bool(), {"time_outs": outs}
+        return self._now, reward, died | cut, {"time_outs": cut & ~died}
 
     def tally(self) -> tuple[dict[str, float], list[EpisodeSummary]]:
         """Return mean reward and unweighted terms since the last call, and the trials that ended."""
@@ -109,6 +127,7 @@ class VectorEnvironment(VecEnv):  # type: ignore[misc]  # rsl_rl carries no type
 
     def _copied(self, seen: Observation) -> TensorDict:
         """Return copies, because the batch writes the next step over its arrays."""
+        self._reference = torch.as_tensor(seen.reference, device=self.device).clone()
         copies = {
             name: torch.as_tensor(getattr(seen, name), device=self.device).clone()
             for name in self._groups

@@ -175,3 +175,19 @@ def test_a_point_on_a_plane_learns_to_fly_to_its_goal(tmp_path: Path) -> None:
     # Standing still costs 0.77 a step; flying straight to the goal at once about 0.1.
     assert rewards[0] < -0.6
     assert np.mean(rewards[-5:]) > -0.2
+
+
+def test_an_action_that_lasts_is_flown_and_rewarded_in_every_step_of_its_trial() -> None:
+    one, three = (PointMass(4, 3) for _ in range(2))
+    slow = VectorEnvironment(three, "best-1", channels=1, hold=3)
+    quick = VectorEnvironment(one, "best-1", channels=1)
+    action = torch.full((4, 3), 0.3)
+    total, over = torch.zeros(4), torch.zeros(4, dtype=torch.bool)
+    for _ in range(3):
+        seen, reward, done, _ = quick.step(action)
+        total += torch.where(over, 0.0, reward)
+        over |= done
+    held, reward, done, _ = slow.step(action)
+    torch.testing.assert_close(reward, total)
+    assert torch.equal(done, over)
+    assert torch.equal(held["ego"], seen["ego"])
