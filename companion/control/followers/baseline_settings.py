@@ -10,22 +10,28 @@ class PacnavSettings(Settings):
 
     body_radius_m: float = Field(default=0.4, gt=0.0, le=2.0)
     """Of a vehicle, taken off every distance."""
-    flock_radius_m: float = Field(default=1.2, gt=0.1, le=10.0)
+    flock_radius_m: float = Field(default=1.1, gt=0.1, le=10.0)
     """Neighbours nearer than this are no targets, and are not flown at."""
-    navigation_per_s: float = Field(default=1.2, ge=0.0, le=5.0)
+    navigation_per_s: float = Field(default=0.8, ge=0.0, le=5.0)
     """Speed for each metre to the target."""
-    force_mps: float = Field(default=1.5, ge=0.0, le=10.0)
-    """Strength of the collision forces."""
-    force_reach_m: float = Field(default=1.2, gt=0.1, le=10.0)
+    force_mps: float = Field(default=1.0, ge=0.0, le=10.0)
+    """Strength of the collision forces between vehicles."""
+    force_reach_m: float = Field(default=1.1, gt=0.1, le=10.0)
     """Beyond this gap there is no force."""
-    max_speed_mps: float = Field(default=1.5, gt=0.0, le=8.0)
+    max_speed_mps: float = Field(default=1.7, gt=0.0, le=8.0)
     """Largest speed of this law; it must exceed the leader's."""
-    hold_s: float = Field(default=0.5, ge=0.0, le=10.0)
-    """How long a neighbour out of sight is held where it was."""
+    hold_s: float = Field(default=1.0, ge=0.0, le=10.0)
+    """How long a neighbour out of sight is held where it was, also as one to keep clear of."""
     history_s: float = Field(default=4.0, gt=0.0, le=20.0)
     """Length of the paths; at most 23 beats are kept."""
     beat_s: float = Field(default=0.2, ge=0.02, le=2.0)
     """Time between the samples of a path."""
+    still_m: float = Field(default=0.06, ge=0.0, le=1.0)
+    """A shorter step between two samples is noise and counts as none."""
+    settle_s: float = Field(default=2.8, ge=0.0, le=20.0)
+    """Nobody is followed before paths have been watched for so long."""
+    obstacle_mps: float = Field(default=1.5, ge=0.0, le=10.0)
+    """Strength of the forces that keep clear of obstacles."""
 
 
 class VpfSettings(Settings):

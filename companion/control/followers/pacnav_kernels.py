@@ -12,7 +12,8 @@ from companion.control.followers.layout_kernels import (
     AZIMUTHS,
     EGO_P,
     EGO_YAW,
-    MAX_ROWS,
+    PACNAV_BEAT,
+    PACNAV_BEAT_LENGTH,
     PACNAV_BODY_RADIUS,
     PACNAV_COLUMNS,
     PACNAV_FLOCK_RADIUS,
@@ -21,11 +22,11 @@ from companion.control.followers.layout_kernels import (
     PACNAV_LAST_P,
     PACNAV_MAX_SPEED,
     PACNAV_NAVIGATION,
+    PACNAV_OBSTACLE,
     PACNAV_PATH_COUNT,
+    PACNAV_SETTLE,
     PACNAV_TARGET,
     PREVIOUS,
-    ROW_P,
-    ROW_PRESENT,
 )
 from companion.control.followers.pacnav_path_kernels import (
     first_beat,
@@ -60,8 +61,8 @@ def pacnav(
     remember_paths(ego, neighbours, memory, parameters)
     find_columns_up_to(ranges, _HIGHEST_RAD, memory, PACNAV_COLUMNS)
     _choose_target(ego, memory, parameters)
-    _navigate(ego, neighbours, memory, parameters, wish)
-    _keep_clear(ego, neighbours, memory, parameters, wish)
+    _navigate(ego, memory, parameters, wish)
+    _keep_clear(ego, memory, parameters, wish)
     speed = math.sqrt(wish[0] * wish[0] + wish[1] * wish[1])
     if speed > parameters[PACNAV_MAX_SPEED]:
         wish[0] *= parameters[PACNAV_MAX_SPEED] / speed
@@ -75,8 +76,21 @@ def _distance(ego: FloatArray, memory: FloatArray, path: int) -> float:
 
 
 @inlined
+def _relative(ego: FloatArray, memory: FloatArray, path: int) -> tuple[float, float]:
+    """Return where a neighbour is, or was when it went out of sight, in the heading frame."""
+    cos_yaw, sin_yaw = math.cos(ego[EGO_YAW]), math.sin(ego[EGO_YAW])
+    at = path_at(path) + PACNAV_LAST_P
+    dx, dy = memory[at] - ego[EGO_P], memory[at + 1] - ego[EGO_P + 1]
+    return cos_yaw * dx + sin_yaw * dy, cos_yaw * dy - sin_yaw * dx
+
+
+@inlined
 def _choose_target(ego: FloatArray, memory: FloatArray, parameters: FloatArray) -> None:
-    """Keep the target, unless somebody who is not on the way to it flies more purposefully."""
+    """Keep the target, unless somebody who is not on the way to it flies more purposefully.
+
+    The first target is the nearest. There is none before there has been time to watch, for the first who
+    stirs would draw all the others.
+    """
     target = -1
     nearest, nearest_distance = -1, math.inf
     anybody = False
@@ -89,7 +103,7 @@ def _choose_target(ego: FloatArray, memory: FloatArray, parameters: FloatArray) 
         distance = _distance(ego, memory, path)
         if parameters[PACNAV_FLOCK_RADIUS] < distance < nearest_distance:
             nearest, nearest_distance = path, distance
-    if not anybody:
+    if not anybody or memory[PACNAV_BEAT] * parameters[PACNAV_BEAT_LENGTH] < parameters[PACNAV_SETTLE] - 1e-6:
         memory[PACNAV_TARGET] = 0.0
         return
     if target < 0:
@@ -117,21 +131,16 @@ def _choose_target(ego: FloatArray, memory: FloatArray, parameters: FloatArray) 
 
 
 @inlined
-def _navigate(
-    ego: FloatArray, neighbours: FloatArray, memory: FloatArray, parameters: FloatArray, wish: FloatArray
-) -> None:
+def _navigate(ego: FloatArray, memory: FloatArray, parameters: FloatArray, wish: FloatArray) -> None:
     """Fly to the target, braked towards every neighbour that is nearer than the flock's radius."""
-    cos_yaw, sin_yaw = math.cos(ego[EGO_YAW]), math.sin(ego[EGO_YAW])
     nx, ny = 0.0, 0.0
     for path in range(PACNAV_PATH_COUNT):
-        at = path_at(path)
-        if memory[PACNAV_TARGET] > 0.0 and memory[at] == memory[PACNAV_TARGET]:
-            dx, dy = memory[at + PACNAV_LAST_P] - ego[EGO_P], memory[at + PACNAV_LAST_P + 1] - ego[EGO_P + 1]
-            nx, ny = cos_yaw * dx + sin_yaw * dy, cos_yaw * dy - sin_yaw * dx
-    for row in range(min(neighbours.shape[0], MAX_ROWS)):
-        if neighbours[row, ROW_PRESENT] < 0.5:
+        if memory[PACNAV_TARGET] > 0.0 and memory[path_at(path)] == memory[PACNAV_TARGET]:
+            nx, ny = _relative(ego, memory, path)
+    for path in range(PACNAV_PATH_COUNT):
+        if not is_near(memory, path, parameters):
             continue
-        x, y = neighbours[row, ROW_P], neighbours[row, ROW_P + 1]
+        x, y = _relative(ego, memory, path)
         distance = math.hypot(x, y)
         if distance < _LEAST_GAP_M:
             continue
@@ -147,9 +156,7 @@ def _navigate(
 
 
 @inlined
-def _keep_clear(
-    ego: FloatArray, neighbours: FloatArray, memory: FloatArray, parameters: FloatArray, wish: FloatArray
-) -> None:
+def _keep_clear(ego: FloatArray, memory: FloatArray, parameters: FloatArray, wish: FloatArray) -> None:
     """Add the mean force of the obstacles and that of the neighbours."""
     cos_yaw, sin_yaw = math.cos(ego[EGO_YAW]), math.sin(ego[EGO_YAW])
     vx = cos_yaw * memory[PREVIOUS] + sin_yaw * memory[PREVIOUS + 1]
@@ -162,7 +169,7 @@ def _keep_clear(
         if distance < reach + radius:
             angle = direction_of(column, AZIMUTHS)
             x, y = distance * math.cos(angle), distance * math.sin(angle)
-            fx, fy = _force(x, y, reach, vx, vy, parameters)
+            fx, fy = _force(x, y, parameters[PACNAV_OBSTACLE], reach, vx, vy, parameters)
             count, sum_x, sum_y = count + 1, sum_x + fx, sum_y + fy
             column += _COLUMNS_PER_OBSTACLE
         else:
@@ -171,13 +178,13 @@ def _keep_clear(
         wish[0] += sum_x / count
         wish[1] += sum_y / count
     count, sum_x, sum_y = 0, 0.0, 0.0
-    for row in range(min(neighbours.shape[0], MAX_ROWS)):
-        if neighbours[row, ROW_PRESENT] < 0.5:
+    for path in range(PACNAV_PATH_COUNT):
+        if not is_near(memory, path, parameters):
             continue
-        x, y = neighbours[row, ROW_P], neighbours[row, ROW_P + 1]
+        x, y = _relative(ego, memory, path)
         if max(math.hypot(x, y) - radius, _LEAST_GAP_M) > reach + radius:
             continue
-        fx, fy = _force(x, y, reach + radius, vx, vy, parameters)
+        fx, fy = _force(x, y, parameters[PACNAV_FORCE], reach + radius, vx, vy, parameters)
         count, sum_x, sum_y = count + 1, sum_x + fx, sum_y + fy
     if count > 0:
         wish[0] += sum_x / count
@@ -186,7 +193,7 @@ def _keep_clear(
 
 @inlined
 def _force(
-    x: float, y: float, reach: float, vx: float, vy: float, parameters: FloatArray
+    x: float, y: float, strength: float, reach: float, vx: float, vy: float, parameters: FloatArray
 ) -> tuple[float, float]:
     """Return the force of what is at (x, y): along it when far, straight away from it when near."""
     distance = math.hypot(x, y)
@@ -195,7 +202,7 @@ def _force(
     gap = max(distance - parameters[PACNAV_BODY_RADIUS], _LEAST_GAP_M)
     if gap > reach:
         return 0.0, 0.0
-    size = parameters[PACNAV_FORCE] * (1.0 / math.sqrt(gap) - 1.0 / math.sqrt(reach))
+    size = strength * (1.0 / math.sqrt(gap) - 1.0 / math.sqrt(reach))
     bx, by = -size * x / distance, -size * y / distance
     if math.hypot(vx, vy) < _STANDING_MPS:
         return bx, by

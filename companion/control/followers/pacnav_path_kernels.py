@@ -19,6 +19,7 @@ from companion.control.followers.layout_kernels import (
     PACNAV_POSITIONS,
     PACNAV_SAMPLES,
     PACNAV_SINCE_BEAT,
+    PACNAV_STILL,
     ROW_ID,
     ROW_P,
     ROW_PRESENT,
@@ -27,7 +28,6 @@ from companion.messages import FloatArray
 
 _FIRST = 1
 _LAST = 2
-_STILL_M = 1e-9
 
 
 @inlined
@@ -148,34 +148,34 @@ def _path_for(memory: FloatArray, number: float) -> int:
 
 
 @inlined
-def _heading_of_step(memory: FloatArray, path: int, beat: int) -> tuple[float, float]:
-    """Return the unit vector from one sample to the next, or zero if it stood still."""
+def _heading_of_step(memory: FloatArray, path: int, beat: int, still: float) -> tuple[float, float]:
+    """Return the unit vector from one sample to the next, or zero if it is not longer than noise."""
     x0, y0 = sample(memory, path, beat)
     x1, y1 = sample(memory, path, beat + 1)
     dx, dy = x1 - x0, y1 - y0
     size = math.sqrt(dx * dx + dy * dy)
-    if size < _STILL_M:
+    if size <= still:
         return 0.0, 0.0
     return dx / size, dy / size
 
 
 @inlined
-def persistence(memory: FloatArray, path: int) -> float:
+def persistence(memory: FloatArray, path: int, still: float) -> float:
     """Return how straight a path is: the mean cosine between successive steps, -1 with two samples."""
     first, last = first_beat(memory, path), last_beat(memory, path)
     if last - first < 2:
         return -1.0
     total = 0.0
-    ux, uy = _heading_of_step(memory, path, first)
+    ux, uy = _heading_of_step(memory, path, first, still)
     for beat in range(first + 1, last):
-        wx, wy = _heading_of_step(memory, path, beat)
+        wx, wy = _heading_of_step(memory, path, beat, still)
         total += ux * wx + uy * wy
         ux, uy = wx, wy
     return total / (last - first - 1)
 
 
 @inlined
-def similarity(memory: FloatArray, path: int, other: int) -> float:
+def similarity(memory: FloatArray, path: int, other: int, still: float) -> float:
     """Return how alike two neighbours moved at the same times: the mean cosine; -1 without common steps."""
     first = max(first_beat(memory, path), first_beat(memory, other))
     last = min(last_beat(memory, path), last_beat(memory, other))
@@ -183,8 +183,8 @@ def similarity(memory: FloatArray, path: int, other: int) -> float:
         return -1.0
     total = 0.0
     for beat in range(first, last):
-        ux, uy = _heading_of_step(memory, path, beat)
-        wx, wy = _heading_of_step(memory, other, beat)
+        ux, uy = _heading_of_step(memory, path, beat, still)
+        wx, wy = _heading_of_step(memory, other, beat, still)
         total += ux * wx + uy * wy
     return total / (last - first)
 
@@ -192,8 +192,9 @@ def similarity(memory: FloatArray, path: int, other: int) -> float:
 @inlined
 def score(memory: FloatArray, path: int, parameters: FloatArray) -> float:
     """Return a neighbour's persistence plus its similarity to every other near neighbour."""
-    total = persistence(memory, path)
+    still = parameters[PACNAV_STILL]
+    total = persistence(memory, path, still)
     for other in range(PACNAV_PATH_COUNT):
         if other != path and is_near(memory, other, parameters):
-            total += similarity(memory, path, other)
+            total += similarity(memory, path, other, still)
     return total

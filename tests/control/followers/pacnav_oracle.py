@@ -12,22 +12,22 @@ from tests.control.followers.oracles import clipped, directions, flat_columns, p
 Path = list[tuple[int, FloatArray]]
 
 
-def steps(path: Path) -> dict[int, FloatArray]:
-    """Unit step from each beat of a path to the next."""
+def steps(path: Path, still: float) -> dict[int, FloatArray]:
+    """Unit step from each beat of a path to the next; none where it is no longer than noise."""
     result = {}
     for (beat, here), (_, there) in pairwise(path):
         size = np.linalg.norm(there - here)
-        result[beat] = (there - here) / size if size > 1e-9 else np.zeros(2)
+        result[beat] = (there - here) / size if size > still else np.zeros(2)
     return result
 
 
-def persistence(path: Path) -> float:
-    u = list(steps(path).values())
+def persistence(path: Path, still: float) -> float:
+    u = list(steps(path, still).values())
     return float(np.mean([a @ b for a, b in pairwise(u)])) if len(path) > 2 else -1.0
 
 
-def similarity(path: Path, other: Path) -> float:
-    u, w = steps(path), steps(other)
+def similarity(path: Path, other: Path, still: float) -> float:
+    u, w = steps(path, still), steps(other, still)
     both = sorted(u.keys() & w.keys())
     return float(np.mean([u[beat] @ w[beat] for beat in both])) if both else -1.0
 
@@ -47,7 +47,7 @@ class Pacnav:
     ) -> FloatArray:
         self._remember(ego, neighbours)
         self._choose(ego)
-        n = self._navigation(ego, neighbours)
+        n = self._navigation(ego)
         previous = turned(previous_map, -ego[6])
         g = self.gains
         v = g.navigation_per_s * n
@@ -56,15 +56,16 @@ class Pacnav:
         index = 0
         while index < 72:
             if columns[index] < g.force_reach_m + g.body_radius_m:
-                forces.append(self._force(columns[index] * directions()[index], g.force_reach_m, previous))
+                o = columns[index] * directions()[index]
+                forces.append(self._force(o, g.obstacle_mps, g.force_reach_m, previous))
                 index += 3
             else:
                 index += 1
         v = v + (np.mean(forces, axis=0) if forces else 0.0)
         reach = g.force_reach_m + g.body_radius_m
-        near = [r[:2] for r in present(neighbours) if np.linalg.norm(r[:2]) - g.body_radius_m <= reach]
+        near = [r for r in self._held(ego) if np.linalg.norm(r) - g.body_radius_m <= reach]
         if near:
-            v = v + np.mean([self._force(r, reach, previous) for r in near], axis=0)
+            v = v + np.mean([self._force(r, g.force_mps, reach, previous) for r in near], axis=0)
         return clipped(v, g.max_speed_mps)
 
     def _remember(self, ego: FloatArray, neighbours: FloatArray) -> None:
@@ -96,13 +97,20 @@ class Pacnav:
                 del self.paths[number]
                 self.places[self.places.index(number)] = None
 
+    def _held(self, ego: FloatArray) -> list[FloatArray]:
+        """Where those are who are seen, or were until just now, in the order of their places."""
+        known = [j for j in self.places if j is not None and self.age[j] <= self.gains.hold_s]
+        return [turned(self.last[j] - ego[:2], -ego[6]) for j in known]
+
     def _score(self, number: int) -> float:
         others = [j for j in self.paths if j != number and self.age[j] <= self.gains.hold_s]
         path = self.paths[number]
-        return persistence(path) + sum(similarity(path, self.paths[j]) for j in others)
+        still = self.gains.still_m
+        return persistence(path, still) + sum(similarity(path, self.paths[j], still) for j in others)
 
     def _choose(self, ego: FloatArray) -> None:
-        if not any(self.age[j] <= self.gains.hold_s for j in self.paths):
+        watched = self.beat * self.gains.beat_s
+        if watched < self.gains.settle_s - 1e-6 or not self._held(ego):
             self.target = None
             return
         away = {j: float(np.linalg.norm(self.last[j] - ego[:2])) for j in self.paths}
@@ -120,25 +128,26 @@ class Pacnav:
             if not converging and self._score(j) > self._score(self.target):
                 self.target = j
 
-    def _navigation(self, ego: FloatArray, neighbours: FloatArray) -> FloatArray:
+    def _navigation(self, ego: FloatArray) -> FloatArray:
         g = self.gains
         if self.target is None:
             return np.zeros(2)
         n = turned(self.last[self.target] - ego[:2], -ego[6])
-        for row in present(neighbours):
-            e = row[:2] / np.linalg.norm(row[:2])
-            gap = max(np.linalg.norm(row[:2]) - g.body_radius_m, 0.01)
+        for r in self._held(ego):
+            e = r / np.linalg.norm(r)
+            gap = max(np.linalg.norm(r) - g.body_radius_m, 0.01)
             s = 1.0 if gap > g.flock_radius_m else (gap / g.flock_radius_m) ** 8
             if n @ e > 0.0:
                 n = (n - (n @ e) * e) + s * (n @ e) * e
         return n
 
-    def _force(self, o: FloatArray, reach: float, previous: FloatArray) -> FloatArray:
+    def _force(self, o: FloatArray, strength: float, reach: float, previous: FloatArray) -> FloatArray:
         g = self.gains
         gap = max(np.linalg.norm(o) - g.body_radius_m, 0.01)
         if gap > reach:
             return np.zeros(2)
-        back: FloatArray = -g.force_mps * (1.0 / np.sqrt(gap) - 1.0 / np.sqrt(reach)) * o / np.linalg.norm(o)
+        size = strength * (1.0 / np.sqrt(gap) - 1.0 / np.sqrt(reach))
+        back: FloatArray = -size * o / np.linalg.norm(o)
         if np.linalg.norm(previous) < 0.017:
             return back
         phi = 0.5 * np.pi * gap / reach
