@@ -29,6 +29,15 @@ def tune(
     workers: Annotated[
         int | None, typer.Option(min=1, max=1024, help="Processes; as many as there are cores by default.")
     ] = None,
+    case: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="SITE:FOLLOWERS[:BEHAVIOUR][=WEIGHT]",
+            help="For flock: a case of the exam instead of its own; give it several times. "
+            "pillars_5m:10=2 is ten followers between pillars, and failing there counts twice; "
+            "forest:4:hover is a leader that hovers on its way. Free space with four is always flown.",
+        ),
+    ] = None,
     json_output: AsJson = False,
 ) -> None:
     """Tune the gains of a followers' law on training scenes and write them as a profile.
@@ -36,6 +45,10 @@ def tune(
     A vehicle's profile can extend the file, and a campaign can name it as the parameters of a method. The
     same seed finds the same gains. A search that was stopped goes on where it was when it is started again
     with the same file; its journal lies beside it.
+
+    The laws of others are tuned in free space to a flock radius and a separation; then their one gain against
+    obstacles is chosen in the 10 m field of pillars. `flock` is tuned to succeed in all cases of one exam:
+    4 and 10 followers between pillars 5 m apart, both forests, and leaders that hover, reverse and turn.
     """
 
     def body() -> tuple[Result, ExitCode]:
@@ -70,6 +83,7 @@ def tune(
                 journal=out.with_suffix(".search.jsonl"),
                 execute=functools.partial(on_processes, fly_scenes, workers=workers or cores()),
                 on_progress=show,
+                cases=case or (),
             )
         except KeyboardInterrupt:
             line.close()
@@ -79,6 +93,7 @@ def tune(
             line.close()
         result = _summary(method, target, tuned)
         command = f"sitl tune {method} --target {target} --budget {budget} --scenes {scenes} --seed {seed}"
+        command += "".join(f" --case {text}" for text in case or ())
         store(out, stored_text(tuned.found.follower, method, [f"Written by: {command}", *_remarks(result)]))
         if not json_output:
             typer.echo("\n".join([*_remarks(result), f"written: {out}"]))

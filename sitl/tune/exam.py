@@ -1,14 +1,17 @@
 """What gains are judged by: scenes to fly, and one number that says how well they were flown."""
 
 import math
+import re
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, replace
+from typing import Literal, get_args
 
 from companion.errors import ProfileError
 from sitl.campaign import paper_numbers as paper
 from sitl.campaign.definition import WorldEntry
 from sitl.swarm.record import TrialRecord
+from sitl.swarm.settings import Behaviour
+from sitl.worlds.sites import SITE_NAMES
 
 TargetName = Literal["paper", "common"]
 
@@ -16,6 +19,12 @@ COLLISIONS = ("uav_uav", "leader_follower", "obstacle")
 _FREE = WorldEntry(name="none")
 _PUBLISHED_AS = {"vpf_polar": "vpf", "flock": paper.PROPOSED}
 _WORST = 1e4
+_CASE = re.compile(
+    r"(?P<site>\w{1,40}):(?P<followers>\d{1,3})(:(?P<behaviour>[a-z]{1,20}))?(=(?P<weight>\d{1,6}(\.\d{1,6})?))?"
+)
+_BEHAVIOURS = frozenset(get_args(Behaviour))
+_MOST_FOLLOWERS = 20
+_GREATEST_WEIGHT = 1000.0
 
 
 class NoTargetError(ProfileError):
@@ -139,21 +148,68 @@ def obstacle_exam(target: Target, scenes: int) -> Exam:
     return Exam((Part(_FREE, 4, scenes, 1.0), sparse), target, 0.15, 0.05, 100.0, 20.0, 2.0)
 
 
-def flock_exam(target: Target, scenes: int) -> Exam:
-    """Return the exam of our own law: success where it is hard, with leaders that hover, reverse and turn."""
-    dense, ten = "pillars_5m", 10
-    hard = (
-        Part(WorldEntry(name=dense), 4, scenes, 1.0),
-        Part(WorldEntry(name=dense), ten, scenes, 1.0),
-        Part(WorldEntry(name="simplified_forest"), 4, scenes, 1.0),
-        Part(WorldEntry(name="forest"), 4, scenes, 1.0),
-        *(
-            Part(WorldEntry(name=f"{dense}_{kind}", site=dense, behaviour=kind), 4, -(-scenes // 2), 0.5)
-            for kind in ("hover", "reverse", "turn")
-        ),
-    )
-    free = Part(_FREE, 4, -(-scenes // 2), 1.0)
-    return Exam((free, *hard), target, 0.5, 0.15, 100.0, 100.0, 20.0)
+HARD_CASES = (
+    "pillars_5m:4",
+    "pillars_5m:10",
+    "simplified_forest:4",
+    "forest:4",
+    "pillars_5m:4:hover=0.5",
+    "pillars_5m:4:reverse=0.5",
+    "pillars_5m:4:turn=0.5",
+)
+"""Where it is hard, and with leaders that hover, reverse and turn: what `flock` is examined in."""
+
+
+def flock_exam(target: Target, scenes: int, cases: Sequence[str] = HARD_CASES) -> Exam:
+    """Return the exam of our own law: free space, and success in several cases at once.
+
+    Args:
+        target: in free space.
+        scenes: in each case; half as many in free space and in a case with less than weight 1.
+        cases: `SITE:FOLLOWERS[:BEHAVIOUR][=WEIGHT]` each.
+
+    Raises:
+        ProfileError: if a case is not of this form, or is there twice.
+    """
+    half = -(-scenes // 2)
+    parts = [Part(_FREE, 4, half, 1.0)]
+    for case in cases:
+        part = case_of(case, scenes)
+        if any((part.world.name, part.followers) == (p.world.name, p.followers) for p in parts):
+            raise ProfileError(f"case {case!r}: is there already")
+        parts.append(replace(part, scenes=half) if part.weight < 1.0 else part)
+    return Exam(tuple(parts), target, 0.5, 0.15, 100.0, 100.0, 20.0)
+
+
+def case_of(text: str, scenes: int) -> Part:
+    """Return the case that `SITE:FOLLOWERS[:BEHAVIOUR][=WEIGHT]` stands for.
+
+    Raises:
+        ProfileError: if it is not of this form; one sentence that says what is wrong.
+    """
+    matched = _CASE.fullmatch(text)
+    if matched is None:
+        raise ProfileError(
+            f"case {text!r}: must be SITE:FOLLOWERS[:BEHAVIOUR][=WEIGHT], such as pillars_5m:10=2"
+        )
+    site, followers, kind = matched["site"], int(matched["followers"]), matched["behaviour"]
+    weight = float(matched["weight"] or 1.0)
+    if site not in SITE_NAMES:
+        raise ProfileError(f"case {text!r}: there is no site {site!r}; there are {', '.join(SITE_NAMES)}")
+    if kind is not None and kind not in _BEHAVIOURS:
+        raise ProfileError(
+            f"case {text!r}: no leader behaves {kind!r}; there are {', '.join(sorted(_BEHAVIOURS))}"
+        )
+    if not 1 <= followers <= _MOST_FOLLOWERS:
+        raise ProfileError(f"case {text!r}: {followers} followers; 1 to {_MOST_FOLLOWERS} are allowed")
+    if not 0.0 < weight <= _GREATEST_WEIGHT:
+        raise ProfileError(
+            f"case {text!r}: weight {weight:g}; it must be above 0 and up to {_GREATEST_WEIGHT:g}"
+        )
+    if kind is None:
+        return Part(WorldEntry(name=site), followers, scenes, weight)
+    world = WorldEntry.model_validate({"name": f"{site}_{kind}", "site": site, "behaviour": kind})
+    return Part(world, followers, scenes, weight)
 
 
 def _mean(values: Sequence[float]) -> float:

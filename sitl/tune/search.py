@@ -24,7 +24,7 @@ from sitl.campaign.tasks import SceneTask
 from sitl.swarm.record import TrialRecord
 from sitl.swarm.settings import SwarmSettings
 from sitl.tune.exam import Exam
-from sitl.tune.space import axes_of, with_values
+from sitl.tune.space import axes_of, start_of, with_values
 
 NEIGHBOURS = 12
 _CONFIRMATION_FIRST = 100_000
@@ -130,7 +130,7 @@ def search(
     Raises:
         LogError: if the journal holds another search.
     """
-    axes, start = axes_of(method), FollowerSettings()
+    axes, start = axes_of(method), start_of(method)
     known = _Journal(journal, _identity(exam, method, seed))
     rng = np.random.default_rng(seed)
     strategy = cma.CMAEvolutionStrategy(
@@ -237,6 +237,7 @@ def _identity(exam: Exam, method: str, seed: int) -> dict[str, Any]:
         "method": method,
         "seed": seed,
         "exam": repr(exam),
+        "command": start_of(method).command.model_dump(),
         "axes": [[axis.name, axis.start, axis.low, axis.high, axis.spread] for axis in axes_of(method)],
     }
 

@@ -4,27 +4,37 @@ from dataclasses import dataclass
 
 from pydantic import ValidationError
 
-from companion.control.followers.settings import FollowerSettings, gains_of, with_gains
+from companion.control.followers.settings import (
+    CommandSettings,
+    FollowerSettings,
+    gains_of,
+    with_gains,
+)
 
 _FIXED = frozenset(
-    {"body_radius_m", "band_below_m", "band_above_m", "scan_delay_s", "history_s", "beat_s", "hold_s"}
+    {
+        *("body_radius_m", "band_below_m", "band_above_m", "scan_delay_s"),
+        *("history_s", "beat_s", "hold_s", "still_m", "settle_s"),
+    }
 )
 """Sizes and times that are known, and what the laws of others define themselves by."""
 
 OBSTACLE_GAIN = {
-    "pacnav": "force_mps",
+    "pacnav": "obstacle_mps",
     "vpf": "obstacle_mps",
     "vpf_polar": "obstacle",
     "reynolds_apf": "obstacle_m3ps",
     "lloyd": "obstacle_room_m",
 }
-"""The one gain that is chosen between pillars, for nothing in free space depends on it (but `pacnav`)."""
+"""The one gain that is chosen between pillars, for nothing in free space depends on it."""
 _WITHOUT_EFFECT_IN_FREE_SPACE = {
+    "pacnav": frozenset({"obstacle_mps"}),
     "vpf": frozenset({"obstacle_mps", "obstacle_reach_m"}),
     "vpf_polar": frozenset({"obstacle", "obstacle_reach_m"}),
     "reynolds_apf": frozenset({"obstacle_m3ps", "obstacle_reach_m"}),
     "lloyd": frozenset({"obstacle_room_m"}),
 }
+_AT_ONCE = {"max_acceleration_mps2": 10.0}
 _LEAST = {("pacnav", "force_reach_m"): 1.0}
 _DIGITS = 4
 
@@ -45,6 +55,19 @@ class Axis:
     low: float
     high: float
     spread: float
+
+
+def start_of(method: str) -> FollowerSettings:
+    """Return the settings from which the search for a law's gains begins.
+
+    The laws of others state velocities and leave it to the vehicle how fast those can change: the limit on
+    the change of a command, which belongs to our own way of flying, is as wide as it may be for them.
+    """
+    start = FollowerSettings()
+    if method == "flock":
+        return start
+    command = CommandSettings.model_validate({**start.command.model_dump(), **_AT_ONCE})
+    return start.model_copy(update={"method": method, "command": command})
 
 
 def axes_of(method: str) -> tuple[Axis, ...]:

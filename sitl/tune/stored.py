@@ -2,28 +2,30 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import yaml
 
 from companion.config import load_profile
-from companion.control.followers.settings import FollowerSettings
+from companion.control.followers.settings import CommandSettings, FollowerSettings
 
 BASE = "uav_follower.yaml"
 
 
 def stored_text(follower: FollowerSettings, method: str, remarks: Sequence[str]) -> str:
-    """Return a profile that says nothing but a law and all its gains.
+    """Return a profile that says nothing but a law, all its gains, and limits of its command if unusual.
 
     Args:
         follower: the settings.
         method: the law.
         remarks: what is to be known about the gains, one line each.
     """
-    gains = getattr(follower, method).model_dump()
+    section: dict[str, Any] = {"method": method}
+    if follower.command != CommandSettings():
+        section["command"] = follower.command.model_dump()
+    section[method] = getattr(follower, method).model_dump()
     head = ["# yaml-language-server: $schema=./profile.schema.json", *(f"# {line}" for line in remarks)]
-    body = yaml.safe_dump(
-        {"extends": BASE, "follower": {"method": method, method: gains}}, sort_keys=False, width=100
-    )
+    body = yaml.safe_dump({"extends": BASE, "follower": section}, sort_keys=False, width=100)
     return "\n".join(head) + "\n" + body
 
 

@@ -1,13 +1,22 @@
 """The whole tuning of one law: search, confirmation, and for the laws of others one gain between pillars."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from companion.control.followers.settings import with_gains
+from companion.errors import ProfileError
 from sitl.campaign.runner import Execute
 from sitl.swarm.record import TrialRecord
-from sitl.tune.exam import Exam, TargetName, flock_exam, free_space_exam, obstacle_exam, target_of
+from sitl.tune.exam import (
+    HARD_CASES,
+    Exam,
+    TargetName,
+    flock_exam,
+    free_space_exam,
+    obstacle_exam,
+    target_of,
+)
 from sitl.tune.search import Examiner, Found, search
 from sitl.tune.space import OBSTACLE_GAIN, obstacle_values
 
@@ -43,6 +52,7 @@ def tune(
     journal: Path,
     execute: Execute,
     on_progress: Callable[[int, float], None],
+    cases: Sequence[str] = (),
 ) -> Tuned:
     """Tune the gains of a law on training scenes.
 
@@ -58,13 +68,19 @@ def tune(
         journal: keeps every generation of the search.
         execute: does the flying.
         on_progress: called with (sets flown so far, best score so far).
+        cases: what `flock` has to fly instead of its own cases, see `case_of`.
 
     Raises:
+        ProfileError: if a case is wrong, or another law is to fly cases.
         NoTargetError: if the paper has no row for the law.
         LogError: if the journal holds another search.
     """
     aim = target_of(method, target)
-    exam = flock_exam(aim, scenes) if method == "flock" else free_space_exam(aim, scenes)
+    if cases and method != "flock":
+        raise ProfileError(
+            f"cases are for flock; {method} is tuned in free space, then between sparse pillars"
+        )
+    exam = flock_exam(aim, scenes, cases or HARD_CASES) if method == "flock" else free_space_exam(aim, scenes)
     examiner = Examiner(method, seed, execute)
     found = search(examiner, exam, method, budget=budget, seed=seed, journal=journal, on_progress=on_progress)
     if method not in OBSTACLE_GAIN:

@@ -21,7 +21,7 @@ from sitl.tune.exam import (
     target_of,
 )
 from sitl.tune.search import Examiner, Found, search
-from sitl.tune.space import OBSTACLE_GAIN, axes_of, obstacle_values, with_values
+from sitl.tune.space import OBSTACLE_GAIN, axes_of, obstacle_values, start_of, with_values
 from sitl.tune.stored import BASE, store, stored_text
 from sitl.tune.tuning import tune
 from tests.sitl.campaign.varied_trials import RECORD
@@ -199,6 +199,55 @@ def test_an_exam_starts_in_free_space_and_names_its_cases_apart(build: Callable[
     assert len({(part.world.name, part.followers) for part in parts}) == len(parts)
 
 
+def test_an_exam_has_the_cases_that_are_asked_for_with_their_weights() -> None:
+    exam = flock_exam(COMMON, 6, ["pillars_5m:10=2", "forest:4", "forest:4:hover=0.25"])
+    named = [(p.world.name, p.world.site_name, p.world.behaviour, p.followers, p.weight) for p in exam.parts]
+    assert named == [
+        ("none", "none", None, 4, 1.0),
+        ("pillars_5m", "pillars_5m", None, 10, 2.0),
+        ("forest", "forest", None, 4, 1.0),
+        ("forest_hover", "forest", "hover", 4, 0.25),
+    ]
+    assert [part.scenes for part in exam.parts] == [3, 6, 6, 3]
+    good = replace(RECORD, flock_radius_m=1.8, minimum_separation_m=1.5, end="success")
+    lost = replace(good, end="leader_lost", mission_progress_percent=100.0)
+    flown = [[good], [lost], [good], [good]]
+    assert exam.score(flown) == pytest.approx(2.0 * exam.score([[good], [good], [lost], [good]]))
+
+
+@pytest.mark.parametrize(
+    ("case", "complaint"),
+    [
+        ("pillars_5m", "must be SITE:FOLLOWERS"),
+        ("swamp:4", "no site 'swamp'"),
+        ("forest:21", "1 to 20 are allowed"),
+        ("forest:4:loop", "no leader behaves 'loop'"),
+        ("forest:4=0", "must be above 0"),
+        ("none:4", "is there already"),
+    ],
+)
+def test_a_case_that_cannot_be_flown_is_refused_in_one_sentence(case: str, complaint: str) -> None:
+    with pytest.raises(ProfileError, match=complaint) as caught:
+        flock_exam(COMMON, 6, [case])
+    assert "\n" not in str(caught.value)
+
+
+def test_the_laws_of_others_fly_no_cases_of_ones_own(tmp_path: Path) -> None:
+    with pytest.raises(ProfileError, match="cases are for flock"):
+        tune(
+            "vpf",
+            "paper",
+            budget=40,
+            scenes=SCENES,
+            seed=1,
+            journal=tmp_path / "a.jsonl",
+            execute=execute,
+            on_progress=lambda done, best: None,
+            cases=["forest:4"],
+        )
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_stored_gains_are_a_profile(tmp_path: Path) -> None:
     for path in FIELD_CONFIGS.glob("uav_*.yaml"):
         (tmp_path / path.name).write_bytes(path.read_bytes())
@@ -211,6 +260,14 @@ def test_stored_gains_are_a_profile(tmp_path: Path) -> None:
     assert profile.follower.method == "vpf"
     assert profile.follower.vpf == follower.vpf
     assert profile.follower.vpf.gain_mps == 1.235
+
+
+def test_the_laws_of_others_are_tuned_and_stored_without_a_limit_on_the_change_of_commands() -> None:
+    assert start_of("flock") == FollowerSettings()
+    follower = start_of("vpf")
+    assert follower.command.max_acceleration_mps2 == 10.0
+    assert "max_acceleration_mps2: 10.0" in stored_text(follower, "vpf", [])
+    assert "command" not in stored_text(start_of("flock"), "flock", [])
 
 
 def test_gains_are_not_stored_where_nothing_could_load_them(tmp_path: Path) -> None:
