@@ -77,6 +77,7 @@ class VectorEnvironment(VecEnv):  # type: ignore[misc]  # rsl_rl carries no type
         self._channels = channels
         self._hold = hold
         self._residual = residual
+        self._reference = torch.zeros((batch.streams, ACTIONS), device=device)
         self._reward = 0.0
         self._steps = 0
         self._finished: list[EpisodeSummary] = []
