@@ -38,9 +38,7 @@ def export(
         from sitl.training.export import export as write
         from sitl.training.model_card import evaluation_rows
         from sitl.training.runner import load_policy
-        from sitl.training.torch_threads import calm_threads
 
-        calm_threads()
         module, known = load_policy(_there(checkpoint))
         rows: list[dict[str, Any]] = []
         if trials:
@@ -81,11 +79,9 @@ def evaluate(
     def body() -> tuple[Result, ExitCode]:
         from companion.control.followers.settings import METHODS
         from companion.errors import ProfileError
-        from sitl.training.torch_threads import calm_threads
 
         if against is not None and against not in METHODS:
             raise ProfileError(f"--against: no law {against!r}, there are {', '.join(METHODS)}")
-        calm_threads()
         flown, settings = _policy(_there(policy))
         judge = _evaluation(settings, trials, workers)
         judged = judge.judge(flown)
@@ -145,10 +141,10 @@ def _policy(path: Path) -> "tuple[Policy, TrainingSettings]":
     from sitl.training.settings import TrainingSettings
 
     if path.suffix == ".onnx":
-        from companion.control.policy import read_policy
+        from companion.control.followers.settings import FollowerSettings
+        from companion.control.policy import load_policy as load_model
 
-        model = read_policy(path)
-        return model, TrainingSettings()
+        return load_model(FollowerSettings(controller="policy", model=str(path))), TrainingSettings()
     module, known = load_policy(path)
     return TorchPolicy.of(module, known.settings.contract), known.settings
 

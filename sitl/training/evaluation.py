@@ -26,6 +26,7 @@ from sitl.campaign.tasks import trial_seed
 from sitl.swarm.record import TrialRecord
 from sitl.swarm.scene import SwarmScene, set_scene
 from sitl.swarm.settings import Behaviour, LeaderBehaviourSettings, SwarmSettings
+from sitl.training.torch_threads import calm_threads
 
 _SEED = 90_210
 """Scenes are drawn for this number and the names of their cases."""
@@ -43,6 +44,7 @@ class EvaluationCase:
         followers: how many.
         behaviour: of the leader.
         perception: errors, delays and flight.
+        goal_distance_m: from the start.
     """
 
     name: str
@@ -50,6 +52,13 @@ class EvaluationCase:
     followers: int = 4
     behaviour: Behaviour = "straight"
     perception: Preset = "paper"
+    goal_distance_m: float = 30.0
+
+    def scene(self, seed: int) -> SwarmScene:
+        """Build one of its scenes."""
+        leader = LeaderBehaviourSettings(behaviour=self.behaviour)
+        swarm = SwarmSettings(followers=self.followers, leader=leader, goal_distance_m=self.goal_distance_m)
+        return set_scene(swarm, self.site, seed)
 
 
 CASES = (
@@ -113,6 +122,7 @@ class TorchPolicy:
 
     def __init__(self, module: torch.nn.Module, contract: Contract) -> None:
         """Take a module that maps named observations to velocities (batch, 3)."""
+        calm_threads()
         self._module = module
         self._contract = contract
 
@@ -225,10 +235,8 @@ def fly_together(policy: Policy, trials: Sequence[AbstractTrial]) -> None:
 
 
 def _scene(case: EvaluationCase, trial: int) -> tuple[SwarmScene, Course]:
-    leader = LeaderBehaviourSettings(behaviour=case.behaviour)
-    swarm = SwarmSettings(followers=case.followers, leader=leader)
     seed = trial_seed(_SEED, f"{case.site} {case.behaviour}", case.followers, trial, held_out=False)
-    scene = set_scene(swarm, case.site, seed)
+    scene = case.scene(seed)
     return scene, leader_course(scene)
 
 

@@ -19,8 +19,6 @@ from companion.errors import ModelError
 from companion.messages import Float32Array
 from sitl.abstract.policy_flight import PolicyStep
 from sitl.abstract.trial import AbstractTrial
-from sitl.swarm.scene import set_scene
-from sitl.swarm.settings import SwarmSettings
 from sitl.training.evaluation import CASES, EvaluationCase, TorchPolicy
 from sitl.training.settings import TrainingSettings, configuration_sha256
 from sitl.worlds.seeds import training_seed
@@ -198,8 +196,6 @@ def source_commit() -> str:
 
 
 def _trial(case: EvaluationCase, settings: TrainingSettings, seed: int) -> AbstractTrial:
-    swarm = SwarmSettings(followers=case.followers)
-    swarm = swarm.model_copy(update={"leader": swarm.leader.model_copy(update={"behaviour": case.behaviour})})
     follower = settings.environment.follower
     abstract = settings.environment.abstract(case.perception)
-    return AbstractTrial(set_scene(swarm, case.site, seed), follower.method, follower, abstract)
+    return AbstractTrial(case.scene(seed), follower.method, follower, abstract)

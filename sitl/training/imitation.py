@@ -21,6 +21,7 @@ from sitl.training.curve import Curve
 from sitl.training.environment_results import Observation, StepResult
 from sitl.training.networks import Policy, build
 from sitl.training.settings import TrainingSettings, configuration_text
+from sitl.training.torch_threads import calm_threads
 
 IMITATED = "imitated.pt"
 _NOISE_STEPS = 20
@@ -140,6 +141,7 @@ class Imitation:
             )
         if (out / IMITATED).exists():
             raise ProfileError(f"{out}: holds an imitation already; name another folder")
+        calm_threads()
         self.settings, self.out, self._batch, self._evaluate = settings, out, batch, evaluate
         self._clock = clock or SystemClock()
         self._plan = settings.imitation
