@@ -55,12 +55,9 @@ def test_the_score_rises_with_what_is_asked_for(flown: Evaluated) -> None:
     def scored(**changes: float) -> float:
         cases = []
         for case in flown.cases:
-            means = {
-                name: replace(case.metric(name), mean=value)
-                for name, value in changes.items()
-                if name != "SR"
-            }
-            cases.append(replace(case, SR=changes.get("SR", case.SR), **means))
+            changed = replace(case, SR=changes.get("SR", case.SR))
+            fr, ms, al = (replace(case.metric(name), mean=changes[name]) for name in ("FR", "MS", "AL"))
+            cases.append(replace(changed, FR=fr, MS=ms, AL=al))
         return replace(flown, cases=tuple(cases)).score
 
     plain = scored(SR=90.0, FR=1.6, MS=1.5, AL=0.9)
