@@ -96,7 +96,20 @@ def describe(
         memory_out: (0,) or (72,): nearness 1 - d / 5 m of the nearest obstacle in each direction at the own
             height, seen or remembered.
     """
-    _describe_grid(ranges, grid_out)
+    describe_grid(ranges, grid_out)
+    describe_all_but_grid(
+        contract, ego, up, neighbours, memory, parameters, reference, previous, ego_out, neighbours_out,
+        memory_out,
+    )  # fmt: skip
+
+
+@inlined
+def describe_all_but_grid(
+    contract: int, ego: FloatArray, up: FloatArray, neighbours: FloatArray, memory: FloatArray,
+    parameters: FloatArray, reference: FloatArray, previous: FloatArray, ego_out: Float32Array,
+    neighbours_out: Float32Array, memory_out: Float32Array,
+) -> None:  # fmt: skip
+    """Write what of an observation may change from tick to tick, as `describe` does."""
     if contract == PAPER:
         _describe_self_plainly(ego, up, ego_out)
         _describe_neighbours_plainly(neighbours, neighbours_out)
@@ -107,7 +120,8 @@ def describe(
 
 
 @inlined
-def _describe_grid(ranges: FloatArray, out: Float32Array) -> None:
+def describe_grid(ranges: FloatArray, out: Float32Array) -> None:
+    """Write what of an observation only a new scan changes, as `describe` does."""
     for column in range(AZIMUTHS):
         for row in range(ELEVATIONS):
             nearness = 1.0 - ranges[column, row] / _GRID_RANGE_M

@@ -17,7 +17,18 @@ from numba import cuda, float64, uint8
 from companion.compiled import for_cuda
 from companion.messages import Float32Array, FloatArray
 from sitl.training import batch_layout_kernels as at
-from sitl.training.environment_kernels import begin_one, end_of, fly_one, pay_one, see_one, take_sample
+from sitl.training.environment_kernels import (
+    begin_one,
+    end_of,
+    fly_one,
+    grid_of,
+    motion_of,
+    pay_one,
+    see_one,
+    take_sample,
+    views_of,
+    world_of,
+)
 
 Arrays = tuple[Any, ...]
 Numbers = np.ndarray[tuple[int], np.dtype[np.int64]]
@@ -30,7 +41,8 @@ _THREADS_PER_BLOCK = 64
 def _begin(which: Numbers, bank: Arrays, swarm: Arrays, motion: Arrays) -> None:
     t, n = cuda.grid(1), motion[3].shape[1]
     if t < which.shape[0] * n:
-        begin_one(which[t // n], t % n, bank, swarm, motion)
+        s = which[t // n]
+        begin_one(s, t % n, world_of(s, bank, swarm), motion_of(s, motion), swarm)
 
 
 def _fly(
@@ -39,7 +51,11 @@ def _fly(
 ) -> None:  # fmt: skip
     t, n = cuda.grid(1), motion[3].shape[1]
     if t < which.shape[0] * n:
-        fly_one(which[t // n], t % n, velocity, bank, law, swarm, motion, views, acts)
+        s = which[t // n]
+        fly_one(
+            s, t % n, velocity, bank[3], world_of(s, bank, swarm), motion_of(s, motion), views_of(s, views),
+            law, swarm, acts,
+        )  # fmt: skip
 
 
 def _count(which: Numbers, steps: int, swarm: Arrays, motion: Arrays, acts: Arrays) -> None:
@@ -58,9 +74,10 @@ def _see(
     if t < which.shape[0] * n:
         roles = cuda.local.array(MOST_VEHICLES, uint8)
         up = cuda.local.array(3, float64)
+        s = which[t // n]
         see_one(
-            which[t // n], t % n, contract, bank, rays, law, swarm, motion, views, acts, shown, snapshots,
-            roles[:n], up,
+            s, t % n, contract, world_of(s, bank, swarm), grid_of(s, rays, swarm), motion_of(s, motion),
+            views_of(s, views), law, swarm, motion, views, acts, shown, snapshots, roles[:n], up,
         )  # fmt: skip
 
 

@@ -1,8 +1,7 @@
 """One control step of many swarms of one size: the same functions that fly trials, over batched arrays.
 
-Every array of a batch begins with an axis over swarms, so that the same code serves a thread of a processor
-and one of a graphics card: what ends in `_one` is the work of one thread there, see `cuda_kernels`. Streams,
-the rows of what is shown and rewarded, number the followers of all swarms.
+Every array of a batch begins with an axis over swarms; what ends in `_one` is the work of one thread of a
+graphics card, see `cuda_kernels`. Streams, the rows of what is shown and rewarded, number all followers.
 """
 
 import math
@@ -13,7 +12,7 @@ import numpy as np
 from companion.compiled import compiled, inlined
 from companion.control.followers.laws_kernels import overrule, steer
 from companion.control.followers.layout_kernels import METHOD_IDS, PREVIOUS
-from companion.control.observation_kernels import describe
+from companion.control.observation_kernels import describe_all_but_grid, describe_grid
 from companion.messages import Float32Array, FloatArray
 from sitl.abstract import layout_kernels as place
 from sitl.abstract.grid_kernels import cull
@@ -39,6 +38,7 @@ from sitl.training import batch_layout_kernels as at
 from sitl.training import reward_layout_kernels as term
 from sitl.training.privileged_kernels import disclose
 from sitl.training.reward_kernels import reward_terms
+from sitl.training.snapshot_kernels import keep_snapshot
 
 Arrays = tuple[Any, ...]
 
@@ -47,7 +47,8 @@ _LARGEST_DIFFERENCE = 16.0
 
 
 @inlined
-def _world(s: int, bank: Arrays, swarm: Arrays) -> Arrays:
+def world_of(s: int, bank: Arrays, swarm: Arrays) -> Arrays:
+    """Return one swarm's part of these arrays, a type of `swarm_kernels`."""
     kinds, rows, discs, _ = bank
     _, places, _, _, _, _, candidates, counts = swarm
     low, high = places[s, at.FIRST_PRIMITIVE], places[s, at.END_PRIMITIVE]
@@ -55,7 +56,8 @@ def _world(s: int, bank: Arrays, swarm: Arrays) -> Arrays:
 
 
 @inlined
-def _motion(s: int, motion: Arrays) -> Arrays:
+def motion_of(s: int, motion: Arrays) -> Arrays:
+    """Likewise."""
     history, commands, gusts, state, loop, setpoint, wind, rooms, touching = motion
     return (
         history[s], commands[s], gusts[s], state[s], loop[s], setpoint[s], wind[s], rooms[s], touching[s],
@@ -63,63 +65,40 @@ def _motion(s: int, motion: Arrays) -> Arrays:
 
 
 @inlined
-def _views(s: int, views: Arrays) -> Arrays:
+def views_of(s: int, views: Arrays) -> Arrays:
+    """Likewise."""
     tracks, ego, neighbours, ranges, memory, roles, up = views
     return tracks[s], ego[s], neighbours[s], ranges[s], memory[s], roles[s], up[s]
 
 
 @inlined
-def _grid(s: int, limits: FloatArray, rays: Arrays) -> Arrays:
+def grid_of(s: int, rays: Arrays, swarm: Arrays) -> Arrays:
+    """Likewise."""
     azimuth_rays, elevation_rays, column_edges, row_edges, _ = rays
-    return limits[s], azimuth_rays, elevation_rays, column_edges, row_edges
-
-
-@inlined
-def _keep_snapshot(s: int, i: int, step: int, motion: Arrays, views: Arrays, snapshots: Arrays) -> None:
-    """Keep what vehicle i could begin a trial from, before it perceives anything in this step."""
-    slot = (step // at.SNAPSHOT_STEPS) % snapshots[0].shape[1]
-    if i == 0:
-        snapshots[0][s, slot] = step
-    for row in range(motion[0].shape[1]):
-        _copy(motion[0][s, row, i], snapshots[1][s, slot, row, i])
-        _copy(motion[1][s, row, i], snapshots[2][s, slot, row, i])
-    _copy(motion[2][s, i], snapshots[3][s, slot, i])
-    _copy(motion[3][s, i], snapshots[4][s, slot, i])
-    _copy(motion[4][s, i], snapshots[5][s, slot, i])
-    for j in range(views[0].shape[2]):
-        _copy(views[0][s, i, j], snapshots[6][s, slot, i, j])
-    _copy(views[1][s, i], snapshots[7][s, slot, i])
-    _copy(views[4][s, i], snapshots[8][s, slot, i])
-
-
-@inlined
-def _copy(source: FloatArray, target: FloatArray) -> None:
-    for index in range(source.shape[0]):
-        target[index] = source[index]
+    return swarm[4][s], azimuth_rays, elevation_rays, column_edges, row_edges
 
 
 @inlined
 def see_one(
-    s: int, i: int, contract: int, bank: Arrays, rays: Arrays, law: FloatArray, swarm: Arrays,
-    motion: Arrays, views: Arrays, acts: Arrays, shown: Arrays, snapshots: Arrays,
+    s: int, i: int, contract: int, world: Arrays, grid: Arrays, moving: Arrays, own: Arrays, law: FloatArray,
+    swarm: Arrays, motion: Arrays, views: Arrays, acts: Arrays, shown: Arrays, snapshots: Arrays,
     roles: np.ndarray[tuple[int], np.dtype[np.uint8]], up: FloatArray,
 ) -> None:  # fmt: skip
     """Give follower i what it perceives, ask its law, and write its observation.
 
-    `roles` (n,) and `up` (3,) are scratch; nothing of the other vehicles changes.
+    `world`, `grid`, `moving` and `own` are the swarm's, `roles` (n,) and `up` (3,) scratch; nothing of the
+    other vehicles changes.
     """
-    seeds, places, parameters, _, limits, _, _, _ = swarm
+    seeds, places, parameters = swarm[0], swarm[1], swarm[2]
     flown, wanted = acts[0], acts[1]
     ego_out, neighbours_out, grid_out, memory_out, privileged, reference = shown
     step = places[s, at.STEP]
     if step % at.SNAPSHOT_STEPS == 0:
-        _keep_snapshot(s, i, step, motion, views, snapshots)
-    world, own = _world(s, bank, swarm), _views(s, views)
-    moving = _motion(s, motion)
+        keep_snapshot(s, i, step, motion, views, snapshots)
     if i == 0:
         look_about(0, step, world, moving, parameters[s])
         return
-    perceive_one(seeds[s], step, i, world, _grid(s, limits, rays), moving, own, parameters[s], roles, up)
+    perceive_one(seeds[s], step, i, world, grid, moving, own, parameters[s], roles, up)
     ego, neighbours, ranges, memory = own[1], own[2], own[3], own[4]
     states = motion[0][s, step % motion[0].shape[1]]
     rooms = motion[7][s]
@@ -139,9 +118,11 @@ def see_one(
     previous[0] = cosine * flown[s, i, 0] + sine * flown[s, i, 1]
     previous[1] = cosine * flown[s, i, 1] - sine * flown[s, i, 0]
     previous[2] = flown[s, i, 2]
-    describe(
-        contract, ego[i], up, neighbours[i], ranges[i], memory[i], law, wanted[s, i], previous,
-        ego_out[k], neighbours_out[k], grid_out[k], memory_out[k],
+    if step % int(parameters[s, place.SCAN_STEPS]) == 0:
+        describe_grid(ranges[i], grid_out[k])
+    describe_all_but_grid(
+        contract, ego[i], up, neighbours[i], memory[i], law, wanted[s, i], previous, ego_out[k],
+        neighbours_out[k], memory_out[k],
     )  # fmt: skip
     disclose(
         i, states, rooms[i], parameters[s, place.GROUND], left, world[0], world[1], world[2],
@@ -152,11 +133,10 @@ def see_one(
 
 
 @inlined
-def begin_one(s: int, i: int, bank: Arrays, swarm: Arrays, motion: Arrays) -> None:
+def begin_one(s: int, i: int, world: Arrays, moving: Arrays, swarm: Arrays) -> None:
     """Make vehicle i, whose state has just been set, ready for its first step."""
     places, parameters, candidates, counts = swarm[1], swarm[2], swarm[6], swarm[7]
-    world, moving = _world(s, bank, swarm), _motion(s, motion)
-    x, y = motion[3][s, i, P], motion[3][s, i, P + 1]
+    x, y = moving[3][i, P], moving[3][i, P + 1]
     counts[s, i] = cull(world[2], x, y, parameters[s, place.CULL_RANGE], candidates[s, i])
     settle_one(places[s, at.STEP], i, world, moving, parameters[s])
 
@@ -203,52 +183,53 @@ def begin_swarms(
     n = motion[3].shape[1]
     for index in range(which.shape[0]):
         s = which[index]
+        world, moving = world_of(s, bank, swarm), motion_of(s, motion)
+        own, grid = views_of(s, views), grid_of(s, rays, swarm)
         for i in range(n):
-            begin_one(s, i, bank, swarm, motion)
+            begin_one(s, i, world, moving, swarm)
         take_sample(s, swarm, motion, acts)
         for i in range(n):
             see_one(
-                s, i, contract, bank, rays, law, swarm, motion, views, acts, shown, snapshots, views[5][s],
-                views[6][s],
+                s, i, contract, world, grid, moving, own, law, swarm, motion, views, acts, shown, snapshots,
+                own[5], own[6],
             )  # fmt: skip
 
 
 @inlined
 def fly_one(
-    s: int, i: int, velocity: Float32Array, bank: Arrays, law: FloatArray, swarm: Arrays, motion: Arrays,
-    views: Arrays, acts: Arrays,
+    s: int, i: int, velocity: Float32Array, flights: FloatArray, world: Arrays, moving: Arrays, own: Arrays,
+    law: FloatArray, swarm: Arrays, acts: Arrays,
 ) -> None:  # fmt: skip
     """Give vehicle i its command and move it on by one control step; the leader flies as it is known to."""
     seeds, places, parameters, quadrotor, _, _, _, _ = swarm
-    _, commands, gusts, state, loop, setpoint, wind, _, _ = motion
+    _, commands, gusts, state, loop, setpoint, wind, _, _ = moving
     step = places[s, at.STEP]
-    row = step % commands.shape[1]
-    leader = bank[3][min(places[s, at.FIRST_FLIGHT] + step + 1, places[s, at.END_FLIGHT] - 1)]
+    row = step % commands.shape[0]
+    at_last = min(places[s, at.FIRST_FLIGHT] + step + 1, places[s, at.END_FLIGHT] - 1)
     if i == 0:
         for axis in range(3):
-            commands[s, row, 0, axis] = leader[3 + axis]
+            commands[row, 0, axis] = flights[at_last, 3 + axis]
     else:
-        _command(s, i, row, velocity, law, swarm, motion, views, acts)
+        _command(s, i, row, velocity, commands, own, law, swarm, acts)
     move_one(
-        seeds[s], step, i, commands[s], parameters[s], quadrotor[s], gusts[s], state[s], loop[s],
-        setpoint[s], wind[s],
+        seeds[s], step, i, commands, parameters[s], quadrotor[s], gusts, state, loop, setpoint, wind
     )  # fmt: skip
     if i == 0:
         for axis in range(3):
-            state[s, 0, P + axis] = leader[axis]
-            state[s, 0, V + axis] = leader[3 + axis]
+            state[0, P + axis] = flights[at_last, axis]
+            state[0, V + axis] = flights[at_last, 3 + axis]
         for part in range(4):
-            state[s, 0, Q + part] = leader[6 + part]
-    settle_one(step + 1, i, _world(s, bank, swarm), _motion(s, motion), parameters[s])
+            state[0, Q + part] = flights[at_last, 6 + part]
+    settle_one(step + 1, i, world, moving, parameters[s])
 
 
 @inlined
 def _command(
-    s: int, i: int, row: int, velocity: Float32Array, law: FloatArray, swarm: Arrays, motion: Arrays,
-    views: Arrays, acts: Arrays,
+    s: int, i: int, row: int, velocity: Float32Array, commands: FloatArray, own: Arrays, law: FloatArray,
+    swarm: Arrays, acts: Arrays,
 ) -> None:  # fmt: skip
     """Limit what a follower is asked for, and pay for how it differs from the law's wish and from before."""
-    ego, memory = views[1][s, i], views[4][s, i]
+    ego, memory = own[1][i], own[4][i]
     flown, wanted, asked, earned = acts[0][s, i], acts[1][s, i], acts[2][s, i], acts[6][s, i]
     k = swarm[1][s, at.FIRST_STREAM] + i - 1
     off = 0.0
@@ -261,7 +242,7 @@ def _command(
     changed = 0.0
     for axis in range(3):
         changed += (memory[PREVIOUS + axis] - flown[axis]) ** 2
-        motion[1][s, row, i, axis] = memory[PREVIOUS + axis]
+        commands[row, i, axis] = memory[PREVIOUS + axis]
     earned[term.SMOOTHNESS] = -changed
     earned[term.RESIDUAL] = -off if off < _LARGEST_DIFFERENCE else -_LARGEST_DIFFERENCE
 
@@ -276,7 +257,7 @@ def end_of(s: int, swarm: Arrays, motion: Arrays, views: Arrays, acts: Arrays) -
     now, before = step % history.shape[0], max(step - 1, 0) % history.shape[0]
     known = places[s, at.END_FLIGHT] - places[s, at.FIRST_FLIGHT] - 1
     leader[PHASE] = float(FINISHED) if step >= known else -1.0
-    unseen = leader_unseen(step, _views(s, views), parameters[s])
+    unseen = leader_unseen(step, views_of(s, views), parameters[s])
     end = judge(
         step * dt, history[before], history[now], touching, unseen, goals[s], leader, parameters[s],
         concerned,
@@ -385,14 +366,16 @@ def step_swarms(
     """
     n = motion[3].shape[1]
     for s in range(first, last):
+        world, moving = world_of(s, bank, swarm), motion_of(s, motion)
+        own, grid = views_of(s, views), grid_of(s, rays, swarm)
         for i in range(n):
-            fly_one(s, i, velocity, bank, law, swarm, motion, views, acts)
+            fly_one(s, i, velocity, bank[3], world, moving, own, law, swarm, acts)
         swarm[1][s, at.STEP] += 1
         take_sample(s, swarm, motion, acts)
         for i in range(n):
             see_one(
-                s, i, contract, bank, rays, law, swarm, motion, views, acts, shown, snapshots, views[5][s],
-                views[6][s],
+                s, i, contract, world, grid, moving, own, law, swarm, motion, views, acts, shown, snapshots,
+                own[5], own[6],
             )  # fmt: skip
         swarm[1][s, at.END] = end_of(s, swarm, motion, views, acts)
         for i in range(1, n):
