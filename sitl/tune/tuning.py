@@ -22,6 +22,7 @@ from sitl.tune.space import OBSTACLE_GAIN, obstacle_values
 
 _OBSTACLE_VALUES = 9
 _OBSTACLE_FIRST = 200_000
+_OBSTACLE_TIMES = 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +86,8 @@ def tune(
     found = search(examiner, exam, method, budget=budget, seed=seed, journal=journal, on_progress=on_progress)
     if method not in OBSTACLE_GAIN:
         return Tuned(found, exam)
-    between = obstacle_exam(aim, scenes)
+    # One gain among few: many scenes tell neighbouring values apart, which a search need not.
+    between = obstacle_exam(aim, scenes).with_scenes(_OBSTACLE_TIMES)
     now = getattr(getattr(found.follower, method), OBSTACLE_GAIN[method])
     values = list(dict.fromkeys([now, *obstacle_values(method, found.follower, _OBSTACLE_VALUES)]))
     tried = [with_gains(found.follower, method, {OBSTACLE_GAIN[method]: value}) for value in values]

@@ -140,7 +140,7 @@ def test_the_gain_against_obstacles_is_chosen_between_pillars(tmp_path: Path) ->
         on_progress=lambda done, best: None,
     )
     assert tuned.found.follower.vpf.obstacle_mps == pytest.approx(2.0, abs=0.3)
-    assert [trial.end for trial in tuned.found.flown[1]] == ["success"] * SCENES
+    assert {trial.end for trial in tuned.found.flown[1]} == {"success"}
     assert {trial.world for trial in tuned.free} == {"none"}
 
 
