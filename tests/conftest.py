@@ -1,6 +1,9 @@
 """What all tests share."""
 
+from collections.abc import Iterator
+
 import pytest
+import structlog
 
 from companion.kernel_cache import forget_stale
 
@@ -33,3 +36,10 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if item.path.stem in _ONE_AT_A_TIME:
             item.add_marker(pytest.mark.sockets)
+
+
+@pytest.fixture(autouse=True)
+def journal() -> Iterator[None]:
+    """Undo what a command under test made of the journal: it writes to a stream that ends with the test."""
+    yield
+    structlog.reset_defaults()
