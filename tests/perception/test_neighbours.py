@@ -55,7 +55,7 @@ def view_of(*tracks: NeighbourTrack, **settings: object) -> NeighbourView:
 
 def test_positions_and_velocities_are_relative_and_in_the_heading_frame() -> None:
     found = view_of(track(7, (5.0, 8.0, 2.5), (0.0, 1.5, 0.0))).at(EGO, SCAN_NS)
-    assert found.track_ids.tolist() == [7, -1, -1, -1, -1, -1]
+    assert found.track_ids.tolist() == [7] + [-1] * 11
     assert found.states_heading[0] == pytest.approx([3.0, 0.0, 0.5, 0.5, 0.0, 0.0, 1.0])
     assert not found.states_heading[1:].any()
 
@@ -107,7 +107,7 @@ def test_a_turning_body_sees_its_neighbours_turn() -> None:
 
 def test_nobody_gives_zeros() -> None:
     found = NeighbourView(NeighbourSettings()).at(EGO, SCAN_NS)
-    assert found.track_ids.tolist() == [-1] * 6
+    assert found.track_ids.tolist() == [-1] * 12
     assert not found.states_heading.any()
 
 

@@ -199,7 +199,7 @@ def test_of_twenty_neighbours_the_nearest_six_are_passed_on_and_none_is_an_obsta
     uavs: list[Thing] = [
         Uav((float(r * np.cos(a)), float(r * np.sin(a)), 1.8)) for r, a in zip(radii, angles, strict=True)
     ]
-    tracker, view = NeighbourTracker(TrackingSettings()), NeighbourView(NeighbourSettings())
+    tracker, view = NeighbourTracker(TrackingSettings()), NeighbourView(NeighbourSettings(count=6))
     rng = np.random.default_rng(5)
     for k in range(1, 26):
         seen = scan(k, uavs, rng)

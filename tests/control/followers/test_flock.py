@@ -37,7 +37,7 @@ def test_it_agrees_with_its_oracle_on_random_flights_with_random_gains(seed: int
 
 
 def test_it_flies_along_with_neighbours_that_fly() -> None:
-    marching = others((1.6, 0.0, 0.0, 0.0, 0.0, 0.0), (-1.6, 0.0, 0.0, 0.0, 0.0, 0.0))
+    marching = others((1.4, 0.0, 0.0, 0.0, 0.0, 0.0), (-1.4, 0.0, 0.0, 0.0, 0.0, 0.0))
     v = Follower("flock").settle(own(v=(1.0, 0.5, 0.0)), marching)
     share = FollowerSettings().flock.feed_forward
     assert v[:2] == pytest.approx([share * 1.0, share * 0.5], abs=1e-6)

@@ -54,7 +54,7 @@ def test_more_neighbours_than_the_followers_profile_says_count_in_full_fidelity(
     scene = scene_of(found.rules, found.worlds["none"], 10, 0)
     for label, variant in found.variants.items():
         full_trials.fly_one_fully(found.rules, variant, scene, TrialNames("none", label, 0), tmp_path)
-    assert load_profile(tmp_path / "sitl_swarm_follower.yaml").neighbours.count == 6
+    assert load_profile(tmp_path / "sitl_swarm_follower.yaml").neighbours.count == 12
     assert [crew.follower.neighbours.count for crew in crews] == [3, 10]
 
 
