@@ -28,18 +28,39 @@ def compiled(signature: str) -> Callable[[_Function], _Function]:
     Args:
         signature: Numba signature, for example ``"float64(float64[::1], int64)"``.
     """
-
-    def declare(function: _Function) -> _Function:
-        dispatcher = numba.njit(cache=True, nogil=True, error_model="numpy")(function)
-        _registry.append((dispatcher, signature))
-        return cast(_Function, dispatcher)
-
-    return declare
+    return lambda function: _declared(function, signature, counts_references=True)
 
 
 def inlined(function: _Function) -> _Function:
     """Mark a small scalar function that kernels call; it is compiled as part of its callers."""
-    return cast(_Function, numba.njit(nogil=True, error_model="numpy")(function))
+    return cast(_Function, numba.njit(nogil=True, error_model="numpy", _nrt=True)(function))
+
+
+def portable(signature: str) -> Callable[[_Function], _Function]:
+    """Mark a compiled kernel in the common subset of compilers for processors and graphics cards.
+
+    It allocates nothing and owns no array, only looks into those it is given. So nobody counts who else holds
+    them, which is dear where functions hand arrays on, and dearer where several threads count the same one.
+
+    Args:
+        signature: as for `compiled`.
+    """
+    return lambda function: _declared(function, signature, counts_references=False)
+
+
+def portable_inlined(function: _Function) -> _Function:
+    """Mark a function that portable kernels call, as `inlined` does; it may return arrays it was given.
+
+    Kernels that are not portable may call it only if it returns no array.
+    """
+    return cast(_Function, numba.njit(nogil=True, error_model="numpy", _nrt=False)(function))
+
+
+def _declared(function: _Function, signature: str, *, counts_references: bool) -> _Function:
+    options = {"cache": True, "nogil": True, "error_model": "numpy", "_nrt": counts_references}
+    dispatcher = numba.njit(**options)(function)
+    _registry.append((dispatcher, signature))
+    return cast(_Function, dispatcher)
 
 
 def declaring_packages() -> set[str]:

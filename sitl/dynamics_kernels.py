@@ -5,7 +5,7 @@ Scalar arithmetic only, in the common subset of compilers for processors and gra
 
 import math
 
-from companion.compiled import compiled, inlined
+from companion.compiled import portable, portable_inlined
 from companion.messages import FloatArray
 
 # Places of the settings in the parameter array.
@@ -23,7 +23,7 @@ ACCEL_SETPOINT, ACCEL_INTEGRAL = 0, 3
 MEMORY_WIDTH = 6
 
 
-@inlined
+@portable_inlined
 def _integral_after(
     integral: float, error: float, rate: float, saturated: bool, limit: float, dt: float
 ) -> float:
@@ -33,7 +33,7 @@ def _integral_after(
     return min(max(integral, -limit), limit)
 
 
-@inlined
+@portable_inlined
 def advance_one(
     i: int,
     motion: FloatArray,
@@ -161,7 +161,7 @@ def advance_one(
     motion[i, ON_GROUND] = 1.0 if held else 0.0
 
 
-@compiled(
+@portable(
     "void(float64[:,::1], float64[:,::1], float64[:,::1], float64[:,::1], float64[:,::1], float64[::1])"
 )
 def advance(

@@ -138,3 +138,54 @@ print(type(first).__name__, inner is second.py_func.__globals__["doubled"], inne
 print(scale.__globals__["doubled"] is doubled if hasattr(scale, "__globals__") else doubled.py_func(1.5))
 """
     assert run(tmp_path, script).splitlines() == ["CUDADispatcher True False", "3.0"]
+
+
+PORTABLE = """
+from companion.compiled import portable, portable_inlined
+
+@portable_inlined
+def row_of(k, rows, labels):
+    return rows[k], labels
+
+@portable("float64(int64, float64[:,::1], float64[::1])")
+def taken(k, rows, labels):
+    row, _ = row_of(k, rows, labels)
+    return row[0]
+
+@portable("float64(int64)")
+def made(size):
+    return np.zeros(size)[0]
+
+@portable_inlined
+def spoil(size):
+    return np.zeros(size)[0]
+
+@compiled("float64(int64)")
+def calls(size):
+    return spoil(size)
+"""
+
+
+def test_portable_kernels_hand_arrays_on_without_counting_who_holds_them(tmp_path: Path) -> None:
+    script = """
+import sys
+rows = np.arange(12.0).reshape(6, 2)
+before = sys.getrefcount(rows)
+print(sum(taken(k % 6, rows, out) for k in range(6000)), sys.getrefcount(rows) - before)
+assembly = taken.inspect_asm(taken.signatures[0])
+print("NRT_" in assembly)
+"""
+    assert run(tmp_path, PORTABLE + script).splitlines() == ["30000.0 0", "False"]
+
+
+def test_portable_kernels_that_allocate_are_not_compiled(tmp_path: Path) -> None:
+    script = """
+from numba.core.errors import NumbaError
+
+for kernel in (made, calls):
+    try:
+        kernel(3)
+    except NumbaError:
+        print("refused")
+"""
+    assert run(tmp_path, PORTABLE + script).splitlines() == ["refused", "refused"]

@@ -6,7 +6,7 @@ are zero.
 
 import math
 
-from companion.compiled import compiled, inlined
+from companion.compiled import portable, portable_inlined
 from companion.control.followers.layout_kernels import (
     AZIMUTHS,
     EGO_ALONE,
@@ -56,7 +56,7 @@ _MEMORY_RANGE_M = 5.0
 _TWO_BODIES_M = 0.4
 
 
-@compiled(
+@portable(
     "void(int64, float64[::1], float64[::1], float64[:,::1], float64[:,::1], float64[::1], float64[::1], "
     "float64[::1], float64[::1], float32[::1], float32[:,::1], float32[:,:,::1], float32[::1])"
 )
@@ -103,7 +103,7 @@ def describe(
     )  # fmt: skip
 
 
-@inlined
+@portable_inlined
 def describe_all_but_grid(
     contract: int, ego: FloatArray, up: FloatArray, neighbours: FloatArray, memory: FloatArray,
     parameters: FloatArray, reference: FloatArray, previous: FloatArray, ego_out: Float32Array,
@@ -119,7 +119,7 @@ def describe_all_but_grid(
         _describe_surroundings(ego, memory, parameters, memory_out)
 
 
-@inlined
+@portable_inlined
 def describe_grid(ranges: FloatArray, out: Float32Array) -> None:
     """Write what of an observation only a new scan changes, as `describe` does."""
     for column in range(AZIMUTHS):
@@ -133,7 +133,7 @@ def describe_grid(ranges: FloatArray, out: Float32Array) -> None:
                 out[1, column, row] = 0.0
 
 
-@inlined
+@portable_inlined
 def _describe_self_plainly(ego: FloatArray, up: FloatArray, out: Float32Array) -> None:
     """Velocity, and the attitude without its heading: pitch about y, then roll about x, as a quaternion."""
     for axis in range(3):
@@ -148,7 +148,7 @@ def _describe_self_plainly(ego: FloatArray, up: FloatArray, out: Float32Array) -
     out[6] = -sin_pitch * sin_roll
 
 
-@inlined
+@portable_inlined
 def _describe_neighbours_plainly(neighbours: FloatArray, out: Float32Array) -> None:
     for row in range(PAPER_ROWS):
         for index in range(PAPER_ROW):
@@ -160,7 +160,7 @@ def _describe_neighbours_plainly(neighbours: FloatArray, out: Float32Array) -> N
             out[row, 6] = 1.0
 
 
-@inlined
+@portable_inlined
 def _describe_self(
     ego: FloatArray,
     up: FloatArray,
@@ -180,7 +180,7 @@ def _describe_self(
     out[13] = memory[FLOCK_KNOWN] / _MOST_KNOWN
 
 
-@inlined
+@portable_inlined
 def _describe_view(ego: FloatArray, memory: FloatArray, out: Float32Array) -> None:
     """Everybody whom `flock` knows of, those just out of sight included, in no particular order."""
     known = int(memory[FLOCK_KNOWN])
@@ -202,7 +202,7 @@ def _describe_view(ego: FloatArray, memory: FloatArray, out: Float32Array) -> No
         out[row, 7] = _TWO_BODIES_M / max(distance, _TWO_BODIES_M)
 
 
-@inlined
+@portable_inlined
 def _describe_surroundings(
     ego: FloatArray, memory: FloatArray, parameters: FloatArray, out: Float32Array
 ) -> None:

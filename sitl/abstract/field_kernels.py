@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from companion.compiled import compiled, inlined
+from companion.compiled import portable, portable_inlined
 from companion.messages import FloatArray
 from sitl.abstract.grid_kernels import IndexArray
 from sitl.worlds.clearance_kernels import distance_to_primitive
@@ -16,7 +16,7 @@ _UPRIGHT = 1.0 - 1e-9
 _TINY_M = 1e-3
 
 
-@inlined
+@portable_inlined
 def _band_distance(kind: int, row: FloatArray, x: float, y: float, low: float, high: float) -> float:
     """Return the least signed distance to a primitive over a vertical line, m."""
     if kind == SPHERE:
@@ -31,7 +31,7 @@ def _band_distance(kind: int, row: FloatArray, x: float, y: float, low: float, h
     return best
 
 
-@compiled(
+@portable(
     "void(int32[::1], float64[:,::1], float64[:,::1], float64, float64, float64, float64, float64,"
     " uint8[:,::1], float32[:,:,::1])"
 )

@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from companion.compiled import compiled, inlined
+from companion.compiled import portable, portable_inlined
 from companion.messages import FloatArray
 from sitl.worlds.raycast_kernels import BOX, CAPSULE, CYLINDER, SPHERE, ray_box, ray_rod, ray_sphere
 
@@ -26,7 +26,7 @@ _UPRIGHT = 1.0 - 1e-9
 _TURN = 2.0 * math.pi
 
 
-@inlined
+@portable_inlined
 def cull(discs: FloatArray, x: float, y: float, reach: float, candidates: IndexArray) -> int:
     """List the primitives within a horizontal reach of a point; return how many there are."""
     count = 0
@@ -39,13 +39,13 @@ def cull(discs: FloatArray, x: float, y: float, reach: float, candidates: IndexA
     return count
 
 
-@inlined
+@portable_inlined
 def _keep(ranges: FloatArray, column: int, row: int, t: float, limits: FloatArray) -> None:
     if t < ranges[column, row] and t >= limits[MIN_RANGE] and t <= limits[MAX_RANGE]:
         ranges[column, row] = t
 
 
-@inlined
+@portable_inlined
 def _rows_between(low: float, high: float, limits: FloatArray, elevations: int) -> tuple[int, int]:
     """Return the first row that an interval of elevations touches and one past the last."""
     height = (limits[HIGHEST] - limits[LOWEST]) / elevations
@@ -54,7 +54,7 @@ def _rows_between(low: float, high: float, limits: FloatArray, elevations: int) 
     return max(int(first), 0), min(int(last) + 1, elevations)
 
 
-@inlined
+@portable_inlined
 def _draw_upright(
     x: float, y: float, z_low: float, z_high: float, radius: float,
     limits: FloatArray, row_edges: FloatArray, ranges: FloatArray,
@@ -88,7 +88,7 @@ def _draw_upright(
             _keep(ranges, index % columns, row, t, limits)
 
 
-@inlined
+@portable_inlined
 def _draw_sphere(
     x: float, y: float, z: float, radius: float, floor: float,
     limits: FloatArray, column_edges: FloatArray, row_edges: FloatArray, ranges: FloatArray,
@@ -134,7 +134,7 @@ def _draw_sphere(
                 _keep(ranges, column, row, t, limits)
 
 
-@inlined
+@portable_inlined
 def _draw_by_rays(
     kind: int, row_of: FloatArray, disc_radius: float, disc_x: float, disc_y: float,
     px: float, py: float, pz: float, cos_yaw: float, sin_yaw: float,
@@ -193,7 +193,7 @@ def _draw_by_rays(
             _keep(ranges, column, row, best, limits)
 
 
-@inlined
+@portable_inlined
 def _draw_primitive(
     kind: int, row_of: FloatArray, disc_radius: float, disc_x: float, disc_y: float,
     px: float, py: float, pz: float, cos_yaw: float, sin_yaw: float, limits: FloatArray,
@@ -217,7 +217,7 @@ def _draw_primitive(
     )  # fmt: skip
 
 
-@inlined
+@portable_inlined
 def _hide_behind(
     x: float, y: float, z: float, radius: float, column_edges: FloatArray, row_edges: FloatArray,
     ranges: FloatArray,
@@ -250,7 +250,7 @@ def _hide_behind(
                 ranges[column, row] = math.inf
 
 
-@inlined
+@portable_inlined
 def _sine_at(row: int, across: float, up: float, row_edges: FloatArray) -> float:
     """Return the sine of a cell's elevation in the body's own axes."""
     ce = 0.5 * (row_edges[row, 1] + row_edges[row + 1, 1])
@@ -258,7 +258,7 @@ def _sine_at(row: int, across: float, up: float, row_edges: FloatArray) -> float
     return float(ce * across + se * up)
 
 
-@inlined
+@portable_inlined
 def _hide_out_of_view(
     column: int, across: float, up: float, limits: FloatArray, row_edges: FloatArray, ranges: FloatArray
 ) -> None:
@@ -289,7 +289,7 @@ def _hide_out_of_view(
             ranges[column, row] = math.inf
 
 
-@compiled(
+@portable(
     "void(int32[::1], float64[:,::1], float64[:,::1], int32[::1], int64, float64[:,::1], uint8[::1], float64,"
     " float64, float64, float64, float64, float64[::1], float64[::1], float64[:,::1], float64[:,::1],"
     " float64[:,::1], float64[:,::1], float64[:,::1])"

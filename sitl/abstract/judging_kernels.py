@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from companion.compiled import compiled
+from companion.compiled import portable
 from companion.messages import FloatArray
 from sitl.abstract import layout_kernels as place
 from sitl.abstract.leader_kernels import FINISHED, PHASE
@@ -30,7 +30,7 @@ _STILL_MPS = 0.05
 _NO_DIRECTION = 1e-9
 
 
-@compiled("void(float64[:,::1], float64[::1], float64, float64[::1])")
+@portable("void(float64[:,::1], float64[::1], float64, float64[::1])")
 def add_sample(states: FloatArray, rooms: FloatArray, cap: float, sums: FloatArray) -> None:
     """Add one sample to the sums of the metrics.
 
@@ -72,7 +72,7 @@ def add_sample(states: FloatArray, rooms: FloatArray, cap: float, sums: FloatArr
         sums[NEAR_OBSTACLE] += 1.0
 
 
-@compiled(
+@portable(
     "int64(float64, float64[:,::1], float64[:,::1], uint8[::1], float64, float64[::1], float64[::1],"
     " float64[::1], int64[::1])"
 )

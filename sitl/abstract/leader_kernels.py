@@ -8,7 +8,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from companion.compiled import compiled, inlined
+from companion.compiled import portable, portable_inlined
 from companion.control.leader.field_kernels import find_nearest, repulsion
 from companion.control.leader.rrt_kernels import clearance_at, locate, point_at, segment_free
 from companion.messages import FloatArray
@@ -33,7 +33,7 @@ _BEYOND_M = 3.0
 _NO_DIRECTION = 1e-9
 
 
-@inlined
+@portable_inlined
 def _move_on(t: float, p: FloatArray, waypoints: FloatArray, holds: FloatArray, rules: FloatArray,
              memory: FloatArray) -> None:  # fmt: skip
     """Advance the mission: `companion.control.leader.mission.Mission.update`."""
@@ -60,7 +60,7 @@ def _move_on(t: float, p: FloatArray, waypoints: FloatArray, holds: FloatArray, 
             memory[ALONG] = 0.0
 
 
-@inlined
+@portable_inlined
 def _along_path(
     x: float, y: float, speed: float, goal_distance: float, leg: FloatArray, clearance: float,
     granted: FloatArray, distance: NDArray[np.float32], blocked: NDArray[np.uint8],
@@ -114,7 +114,7 @@ def _along_path(
     return scale * fx, scale * fy
 
 
-@compiled(
+@portable(
     "void(float64, float64, float64[::1], float64[:,::1], float64[::1], float64[:,:,::1], float64[:,:,::1],"
     " float64[::1], float32[:,::1], uint8[:,::1], float32[:,:,::1], int64[::1], float64[::1], float64[::1],"
     " float64[:,::1], float64[:,::1], float64[::1])"

@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from companion.compiled import compiled, inlined
+from companion.compiled import portable, portable_inlined
 from companion.messages import FloatArray
 from sitl.abstract import layout_kernels as place
 from sitl.abstract.grid_kernels import IndexArray
@@ -21,7 +21,7 @@ _CONTACT_TOLERANCE_M = 1e-3
 _PAIR_PARTS = 1e-12
 
 
-@inlined
+@portable_inlined
 def _blow(seed: np.uint64, step: int, i: int, parameters: FloatArray, gusts: FloatArray) -> None:
     """Move the gust at vehicle i on by one control step; it begins in its stationary distribution."""
     dt = parameters[place.CONTROL_STEP]
@@ -36,7 +36,7 @@ def _blow(seed: np.uint64, step: int, i: int, parameters: FloatArray, gusts: Flo
     gusts[i, 2] = kept * gusts[i, 2] + parameters[place.VERTICAL_GUST] * math.sqrt(1.0 - kept * kept) * c
 
 
-@inlined
+@portable_inlined
 def _lag(
     seed: np.uint64, step: int, i: int, commands: FloatArray, parameters: FloatArray, motion: FloatArray
 ) -> None:
@@ -70,7 +70,7 @@ def _lag(
     _tilt(motion[i], ax, ay, az + _GRAVITY, yaw)
 
 
-@inlined
+@portable_inlined
 def _tilt(row: FloatArray, fx: float, fy: float, fz: float, yaw: float) -> None:
     """Write the attitude with a heading whose z axis points along a force, f_z > 0."""
     cosine, sine = math.cos(yaw), math.sin(yaw)
@@ -86,7 +86,7 @@ def _tilt(row: FloatArray, fx: float, fy: float, fz: float, yaw: float) -> None:
     row[Q + 3] = cr * cp * sy - sr * sp * cy
 
 
-@inlined
+@portable_inlined
 def move_one(
     seed: np.uint64,
     step: int,
@@ -121,7 +121,7 @@ def move_one(
         )  # fmt: skip
 
 
-@compiled(
+@portable(
     "void(uint64, int64, float64[:,:,::1], float64[::1], float64[::1], float64[:,::1], float64[:,::1],"
     " float64[:,::1], float64[:,::1], float64[:,::1])"
 )
@@ -155,7 +155,7 @@ def move(
         move_one(seed, step, i, commands, parameters, quadrotor, gusts, motion, loop, setpoint, wind)
 
 
-@compiled("float64(int32[::1], float64[:,::1], float64[:,::1], int32[::1], int64, float64, float64, float64)")
+@portable("float64(int32[::1], float64[:,::1], float64[:,::1], int32[::1], int64, float64, float64, float64)")
 def room_at(
     kinds: IndexArray,
     rows: FloatArray,
@@ -176,7 +176,7 @@ def room_at(
     return best
 
 
-@compiled(
+@portable(
     "boolean(int32[::1], float64[:,::1], float64[:,::1], int32[::1], int64, float64[::1], float64[::1],"
     " float64, float64)"
 )
@@ -222,7 +222,7 @@ def touches(
     return False
 
 
-@compiled("float64(float64[::1], float64[::1], float64[::1], float64[::1])")
+@portable("float64(float64[::1], float64[::1], float64[::1], float64[::1])")
 def closest_approach(a_start: FloatArray, a_end: FloatArray, b_start: FloatArray, b_end: FloatArray) -> float:
     """Return the least distance of two points (3,) that move straight and evenly during a step, m."""
     x, y, z = b_start[0] - a_start[0], b_start[1] - a_start[1], b_start[2] - a_start[2]

@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from companion.compiled import compiled, inlined
+from companion.compiled import portable, portable_inlined
 from companion.messages import FloatArray
 from sitl.abstract import layout_kernels as place
 from sitl.abstract.grid_kernels import AN_OBSTACLE, KNOWN, LEFT_OUT, IndexArray, draw_grid
@@ -28,13 +28,13 @@ _BEFORE_ALL = -1.0
 _NO_MEMORY_S = 1e-6
 
 
-@inlined
+@portable_inlined
 def past(history: FloatArray, step: int, delay: int) -> int:
     """Return the row of the history that held `delay` steps ago; the first state before there was any."""
     return int(max(step - delay, 0) % history.shape[0])
 
 
-@compiled(
+@portable(
     "void(uint64, int64, int64, float64[:,:,::1], int32[::1], float64[:,::1], float64[:,::1], int32[::1],"
     " int64, float64[::1], float64[:,::1])"
 )
@@ -119,7 +119,7 @@ def look_around(
             track[T_SEEN] = t_valid
 
 
-@compiled(
+@portable(
     "void(int64, int64, float64[:,:,::1], int32[::1], float64[:,::1], float64[:,::1], int32[::1], int64,"
     " float64[::1], float64[::1], float64[:,::1], float64[:,::1], float64[:,::1], float64[:,::1],"
     " float64[:,::1], uint8[::1], float64[::1], float64[:,::1])"
@@ -165,14 +165,14 @@ def look_at_obstacles(
     )  # fmt: skip
 
 
-@inlined
+@portable_inlined
 def _put(row: FloatArray, at: int, x: float, y: float, z: float, cosine: float, sine: float) -> None:
     row[at] = cosine * x + sine * y
     row[at + 1] = cosine * y - sine * x
     row[at + 2] = z
 
 
-@compiled(
+@portable(
     "void(uint64, int64, int64, float64[:,:,::1], float64[::1], float64[:,::1], float64[::1], float64[:,::1])"
 )
 def observe(

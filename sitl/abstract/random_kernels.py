@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from companion.compiled import compiled, inlined
+from companion.compiled import portable, portable_inlined
 from companion.messages import FloatArray
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
@@ -21,7 +21,7 @@ _ONE = np.uint64(1)
 _UNIT = 1.0 / 9007199254740992.0
 
 
-@inlined
+@portable_inlined
 def mix(word: np.uint64) -> np.uint64:
     """Return 64 bits that depend on every bit of a word."""
     word = (word ^ (word >> _30)) * _FIRST
@@ -29,7 +29,7 @@ def mix(word: np.uint64) -> np.uint64:
     return word ^ (word >> _31)
 
 
-@inlined
+@portable_inlined
 def stream(seed: np.uint64, first: int, second: int, third: int) -> np.uint64:
     """Return the beginning of the stream of a seed that three counters name."""
     word = mix(seed + _GOLDEN)
@@ -38,13 +38,13 @@ def stream(seed: np.uint64, first: int, second: int, third: int) -> np.uint64:
     return mix(word ^ (np.uint64(third) * _GOLDEN + _ONE))
 
 
-@inlined
+@portable_inlined
 def uniform(start: np.uint64, index: int) -> float:
     """Return number `index` of a stream, uniform in [0, 1)."""
     return np.float64(mix(start + np.uint64(index + 1) * _GOLDEN) >> _11) * _UNIT
 
 
-@inlined
+@portable_inlined
 def normal_pair(start: np.uint64, index: int) -> tuple[float, float]:
     """Return the independent standard normal numbers 2 `index` and 2 `index` + 1 of a stream.
 
@@ -55,7 +55,7 @@ def normal_pair(start: np.uint64, index: int) -> tuple[float, float]:
     return radius * math.cos(angle), radius * math.sin(angle)
 
 
-@compiled("void(uint64, int64, int64, int64, float64[::1], float64[::1])")
+@portable("void(uint64, int64, int64, int64, float64[::1], float64[::1])")
 def draw(
     seed: np.uint64, first: int, second: int, third: int, uniforms: FloatArray, normals: FloatArray
 ) -> None:

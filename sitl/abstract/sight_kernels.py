@@ -5,7 +5,7 @@ Scalar arithmetic only, in the common subset of compilers for processors and gra
 
 import math
 
-from companion.compiled import compiled, inlined
+from companion.compiled import portable, portable_inlined
 from companion.messages import FloatArray
 from sitl.abstract.grid_kernels import IndexArray
 from sitl.worlds.raycast_kernels import ray_primitive, ray_sphere
@@ -14,21 +14,21 @@ _SIGHT_RAYS = 5
 _SAME_PLACE_M = 1e-6
 
 
-@inlined
+@portable_inlined
 def up_of(q: FloatArray) -> tuple[float, float, float]:
     """Return the body z axis of an attitude (w, x, y, z)."""
     w, x, y, z = q[0], q[1], q[2], q[3]
     return 2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)
 
 
-@inlined
+@portable_inlined
 def yaw_of(q: FloatArray) -> float:
     """Return the heading of an attitude (w, x, y, z), rad."""
     w, x, y, z = q[0], q[1], q[2], q[3]
     return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
 
 
-@inlined
+@portable_inlined
 def _passes_near(
     disc: FloatArray, ox: float, oy: float, ex: float, ey: float, length: float, margin: float
 ) -> bool:
@@ -40,7 +40,7 @@ def _passes_near(
     return bool(x * x + y * y <= reach * reach)
 
 
-@compiled(
+@portable(
     "boolean(int64, int64, float64[:,::1], int32[::1], float64[:,::1], float64[:,::1], int32[::1], int64,"
     " float64, float64, float64, float64, int64)"
 )

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from companion.compiled import compiled, inlined
+from companion.compiled import portable, portable_inlined
 from companion.control.followers.laws_kernels import steer
 from companion.control.followers.layout_kernels import PREVIOUS
 from companion.messages import FloatArray
@@ -51,7 +51,7 @@ TRACE = f"Tuple(({_F3}, {_F3}, uint8[:,:,::1], {_F2}))"
 (T, n, 3), who perceives whom (T, n, n), distances to the nearest surface (T, n)."""
 
 
-@inlined
+@portable_inlined
 def look_about(i: int, step: int, world: Arrays, motion: Arrays, parameters: FloatArray) -> None:
     """Find the obstacles near vehicle i, if a scan arrives at this step."""
     if step % int(parameters[place.SCAN_STEPS]) == 0:
@@ -63,7 +63,7 @@ def look_about(i: int, step: int, world: Arrays, motion: Arrays, parameters: Flo
         )
 
 
-@inlined
+@portable_inlined
 def perceive_one(
     seed: np.uint64,
     step: int,
@@ -96,7 +96,7 @@ def perceive_one(
     observe(seed, i, step, history, parameters, tracks[i], ego[i], neighbours[i])
 
 
-@compiled(f"void(uint64, int64, {WORLD}, {GRID}, {MOTION}, {VIEWS}, {_F1})")
+@portable(f"void(uint64, int64, {WORLD}, {GRID}, {MOTION}, {VIEWS}, {_F1})")
 def perceive(
     seed: np.uint64,
     step: int,
@@ -113,7 +113,7 @@ def perceive(
         perceive_one(seed, step, i, world, grid, motion, views, parameters, roles, up)
 
 
-@compiled(f"float64(int64, {VIEWS}, {_F1})")
+@portable(f"float64(int64, {VIEWS}, {_F1})")
 def leader_unseen(step: int, views: Arrays, parameters: FloatArray) -> float:
     """Return for how long no follower has perceived the leader, s, as far as scans have told."""
     tracks = views[0]
@@ -125,7 +125,7 @@ def leader_unseen(step: int, views: Arrays, parameters: FloatArray) -> float:
     return float(latest - newest)
 
 
-@inlined
+@portable_inlined
 def settle_one(step: int, i: int, world: Arrays, motion: Arrays, parameters: FloatArray) -> None:
     """Take down where vehicle i is at a step, how near to obstacles, and whether it has touched one."""
     kinds, rows, discs, candidates, counts = world
@@ -144,7 +144,7 @@ def settle_one(step: int, i: int, world: Arrays, motion: Arrays, parameters: Flo
     )
 
 
-@compiled(f"void(int64, {WORLD}, {MOTION}, {_F1})")
+@portable(f"void(int64, {WORLD}, {MOTION}, {_F1})")
 def settle(
     step: int,
     world: Arrays,
@@ -156,7 +156,7 @@ def settle(
         settle_one(step, i, world, motion, parameters)
 
 
-@compiled(f"void({WORLD}, {MOTION}, {_F1})")
+@portable(f"void({WORLD}, {MOTION}, {_F1})")
 def set_off(world: Arrays, motion: Arrays, parameters: FloatArray) -> None:
     """Make a trial ready for its first step, from the state in `motion`."""
     discs, candidates, counts = world[2], world[3], world[4]
@@ -166,7 +166,7 @@ def set_off(world: Arrays, motion: Arrays, parameters: FloatArray) -> None:
     settle(0, world, motion, parameters)
 
 
-@compiled(
+@portable(
     f"void(uint64, int64, int64, {WORLD}, {GRID}, {MOTION}, {VIEWS}, {ROUTE}, {_F1}, {_F1}, {_F1}, {_F2},"
     f" {_F2})"
 )
@@ -225,7 +225,7 @@ def begin_step(
         steer(method, ego[i], neighbours[i], ranges[i], memory[i], law, wanted[i])
 
 
-@compiled(
+@portable(
     f"int64(uint64, int64, int64, {WORLD}, {MOTION}, {VIEWS}, {ROUTE}, {_F1}, {_F1}, {_F2}, {_L1}, {TRACE})"
 )
 def finish_step(
@@ -293,7 +293,7 @@ def finish_step(
     return int(end)
 
 
-@compiled(
+@portable(
     f"Tuple((int64, int64))(uint64, int64, int64, {WORLD}, {GRID}, {MOTION}, {VIEWS}, {ROUTE}, {_F1}, {_F1},"
     f" {_F1}, {_F1}, {_L1}, {_F2}, {_F2}, {TRACE})"
 )

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from companion.compiled import compiled, inlined
+from companion.compiled import portable, portable_inlined
 from companion.control.followers.laws_kernels import overrule, steer
 from companion.control.followers.layout_kernels import METHOD_IDS, PREVIOUS
 from companion.control.observation_kernels import describe_all_but_grid, describe_grid
@@ -46,7 +46,7 @@ _FLOCK = METHOD_IDS["flock"]
 _LARGEST_DIFFERENCE = 16.0
 
 
-@inlined
+@portable_inlined
 def world_of(s: int, bank: Arrays, swarm: Arrays) -> Arrays:
     """Return one swarm's part of these arrays, a type of `swarm_kernels`."""
     kinds, rows, discs, _ = bank
@@ -55,7 +55,7 @@ def world_of(s: int, bank: Arrays, swarm: Arrays) -> Arrays:
     return kinds[low:high], rows[low:high], discs[low:high], candidates[s], counts[s]
 
 
-@inlined
+@portable_inlined
 def motion_of(s: int, motion: Arrays) -> Arrays:
     """Likewise."""
     history, commands, gusts, state, loop, setpoint, wind, rooms, touching = motion
@@ -64,21 +64,21 @@ def motion_of(s: int, motion: Arrays) -> Arrays:
     )  # fmt: skip
 
 
-@inlined
+@portable_inlined
 def views_of(s: int, views: Arrays) -> Arrays:
     """Likewise."""
     tracks, ego, neighbours, ranges, memory, roles, up = views
     return tracks[s], ego[s], neighbours[s], ranges[s], memory[s], roles[s], up[s]
 
 
-@inlined
+@portable_inlined
 def grid_of(s: int, rays: Arrays, swarm: Arrays) -> Arrays:
     """Likewise."""
     azimuth_rays, elevation_rays, column_edges, row_edges, _ = rays
     return swarm[4][s], azimuth_rays, elevation_rays, column_edges, row_edges
 
 
-@inlined
+@portable_inlined
 def see_one(
     s: int, i: int, contract: int, world: Arrays, grid: Arrays, moving: Arrays, own: Arrays, law: FloatArray,
     swarm: Arrays, motion: Arrays, views: Arrays, acts: Arrays, shown: Arrays, snapshots: Arrays,
@@ -132,7 +132,7 @@ def see_one(
         reference[k, axis] = wanted[s, i, axis]
 
 
-@inlined
+@portable_inlined
 def begin_one(s: int, i: int, world: Arrays, moving: Arrays, swarm: Arrays) -> None:
     """Make vehicle i, whose state has just been set, ready for its first step."""
     places, parameters, candidates, counts = swarm[1], swarm[2], swarm[6], swarm[7]
@@ -141,14 +141,14 @@ def begin_one(s: int, i: int, world: Arrays, moving: Arrays, swarm: Arrays) -> N
     settle_one(places[s, at.STEP], i, world, moving, parameters[s])
 
 
-@inlined
+@portable_inlined
 def take_sample(s: int, swarm: Arrays, motion: Arrays, acts: Arrays) -> None:
     """Add where a swarm is now to the sums of its metrics."""
     now = swarm[1][s, at.STEP] % motion[0].shape[1]
     add_sample(motion[0][s, now], motion[7][s], swarm[2][s, place.CAP], acts[3][s])
 
 
-@compiled(
+@portable(
     f"void(int64[::1], int64, {at.BANK}, {at.RAYS}, float64[::1], {at.SWARM}, {at.MOTION}, {at.VIEWS},"
     f" {at.ACTS}, {at.SHOWN}, {at.SNAPSHOTS})"
 )
@@ -195,7 +195,7 @@ def begin_swarms(
             )  # fmt: skip
 
 
-@inlined
+@portable_inlined
 def fly_one(
     s: int, i: int, velocity: Float32Array, flights: FloatArray, world: Arrays, moving: Arrays, own: Arrays,
     law: FloatArray, swarm: Arrays, acts: Arrays,
@@ -223,7 +223,7 @@ def fly_one(
     settle_one(step + 1, i, world, moving, parameters[s])
 
 
-@inlined
+@portable_inlined
 def _command(
     s: int, i: int, row: int, velocity: Float32Array, commands: FloatArray, own: Arrays, law: FloatArray,
     swarm: Arrays, acts: Arrays,
@@ -247,7 +247,7 @@ def _command(
     earned[term.RESIDUAL] = -off if off < _LARGEST_DIFFERENCE else -_LARGEST_DIFFERENCE
 
 
-@inlined
+@portable_inlined
 def end_of(s: int, swarm: Arrays, motion: Arrays, views: Arrays, acts: Arrays) -> int:
     """Return how a swarm's trial ends now, `FLYING` if it goes on."""
     _, places, parameters, _, _, goals, _, _ = swarm
@@ -278,7 +278,7 @@ def end_of(s: int, swarm: Arrays, motion: Arrays, views: Arrays, acts: Arrays) -
     return FLYING
 
 
-@inlined
+@portable_inlined
 def pay_one(
     s: int, i: int, rays: Arrays, numbers: FloatArray, weights: FloatArray, swarm: Arrays, motion: Arrays,
     views: Arrays, acts: Arrays, paid: Arrays,
@@ -320,7 +320,7 @@ def pay_one(
     truncated[k] = end != FLYING and not (crashed or lost)
 
 
-@compiled(
+@portable(
     f"void(int64, int64, int64, float32[:,::1], {at.BANK}, {at.RAYS}, float64[::1], float64[::1],"
     f" float64[::1], {at.SWARM}, {at.MOTION}, {at.VIEWS}, {at.ACTS}, {at.SHOWN}, {at.PAID}, {at.SNAPSHOTS})"
 )

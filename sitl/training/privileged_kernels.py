@@ -5,7 +5,7 @@ Scalar arithmetic only, in the common subset of compilers for processors and gra
 
 import math
 
-from companion.compiled import compiled, inlined
+from companion.compiled import portable, portable_inlined
 from companion.messages import Float32Array, FloatArray
 from sitl.abstract.grid_kernels import IndexArray
 from sitl.abstract.sight_kernels import yaw_of
@@ -27,7 +27,7 @@ _ROOM_M = 3.0
 _TINY_M = 1e-3
 
 
-@inlined
+@portable_inlined
 def _turned(
     x: float, y: float, z: float, cosine: float, sine: float, scale: float, out: Float32Array, at: int
 ) -> None:
@@ -37,7 +37,7 @@ def _turned(
     out[at + 2] = z / scale
 
 
-@compiled(
+@portable(
     "void(int64, float64[:,::1], float64, float64, float64, int32[::1], float64[:,::1], float64[:,::1],"
     " int32[::1], int64, float32[::1])"
 )

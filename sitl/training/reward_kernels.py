@@ -9,7 +9,7 @@ our own.
 
 import math
 
-from companion.compiled import compiled, inlined
+from companion.compiled import portable, portable_inlined
 from companion.messages import FloatArray
 from sitl.abstract.sight_kernels import up_of, yaw_of
 from sitl.training import reward_layout_kernels as place
@@ -18,7 +18,7 @@ _STILL_MPS = 0.05
 _MEAN, _SUM = 0, 1
 
 
-@compiled(
+@portable(
     "void(int64, float64[:,::1], float64, float64, int64, float64[:,::1], float64[:,:,::1], float64[::1],"
     " float64[::1])"
 )
@@ -92,7 +92,7 @@ def reward_terms(
         terms[place.ALIGNMENT] = (vx * mx + vy * my + vz * mz) / (speed * mean_speed)
 
 
-@inlined
+@portable_inlined
 def _towards_obstacles(
     states: FloatArray, i: int, ranges: FloatArray, directions: FloatArray, numbers: FloatArray
 ) -> float:

@@ -2,14 +2,14 @@
 
 from typing import Any
 
-from companion.compiled import inlined
+from companion.compiled import portable_inlined
 from companion.messages import FloatArray
 from sitl.training import batch_layout_kernels as at
 
 Arrays = tuple[Any, ...]
 
 
-@inlined
+@portable_inlined
 def keep_snapshot(s: int, i: int, step: int, motion: Arrays, views: Arrays, snapshots: Arrays) -> None:
     """Keep what vehicle i could begin a trial from, before it perceives anything in this step."""
     slot = (step // at.SNAPSHOT_STEPS) % snapshots[0].shape[1]
@@ -27,7 +27,7 @@ def keep_snapshot(s: int, i: int, step: int, motion: Arrays, views: Arrays, snap
     _copy(views[4][s, i], snapshots[8][s, slot, i])
 
 
-@inlined
+@portable_inlined
 def _copy(source: FloatArray, target: FloatArray) -> None:
     for index in range(source.shape[0]):
         target[index] = source[index]

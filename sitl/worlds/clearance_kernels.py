@@ -4,13 +4,13 @@ import math
 
 import numpy as np
 
-from companion.compiled import compiled, inlined
+from companion.compiled import portable, portable_inlined
 from companion.messages import FloatArray
 from sitl.worlds.casting_kernels import into_body
 from sitl.worlds.raycast_kernels import BOX, CAPSULE, PLANE, SPHERE
 
 
-@inlined
+@portable_inlined
 def _outside(x: float, y: float) -> float:
     """Return the distance to a quadrant's corner region: positive outside, negative inside."""
     if x > 0.0 and y > 0.0:
@@ -18,7 +18,7 @@ def _outside(x: float, y: float) -> float:
     return max(x, y)
 
 
-@inlined
+@portable_inlined
 def distance_to_primitive(kind: int, row: FloatArray, px: float, py: float, pz: float) -> float:
     """Return the signed distance (negative inside) from a point to one primitive, metres."""
     if kind == PLANE:
@@ -39,7 +39,7 @@ def distance_to_primitive(kind: int, row: FloatArray, px: float, py: float, pz: 
     return _outside(radial, abs(axial - 0.5 * row[6]) - 0.5 * row[6])
 
 
-@inlined
+@portable_inlined
 def nearest_primitive(
     kinds: np.ndarray[tuple[int], np.dtype[np.int32]],
     rows: FloatArray,
@@ -72,7 +72,7 @@ def nearest_primitive(
     return best, nearest
 
 
-@compiled(
+@portable(
     "void(float64[:, ::1], int32[::1], float64[:, ::1], float64[:, ::1], int32[:, ::1], float64[:, ::1], "
     "float64[::1], int32[::1])"
 )
@@ -93,7 +93,7 @@ def measure_clearances(
         )
 
 
-@compiled(
+@portable(
     "void(float64[:, ::1], float64[:, ::1], float64, float64, int32[::1], float64[:, ::1], "
     "float64[:, ::1], int32[:, ::1], float64[:, ::1], float64[::1])"
 )

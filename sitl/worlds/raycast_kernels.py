@@ -18,7 +18,7 @@ in metres (directions are unit vectors); infinity means no hit. Surfaces are hit
 
 import math
 
-from companion.compiled import inlined
+from companion.compiled import portable_inlined
 from companion.messages import FloatArray
 
 PLANE = 0
@@ -32,7 +32,7 @@ _PARALLEL = 1e-12
 SECTORS = 256
 
 
-@inlined
+@portable_inlined
 def _first_of(t_near: float, t_far: float) -> float:
     """Return the smaller of two ordered distances that lies in front of the ray's origin."""
     if t_near > NEAREST_HIT_M:
@@ -42,7 +42,7 @@ def _first_of(t_near: float, t_far: float) -> float:
     return math.inf
 
 
-@inlined
+@portable_inlined
 def ray_plane(oz: float, dz: float, height: float) -> float:
     """Return the distance to a horizontal plane."""
     if abs(dz) < _PARALLEL:
@@ -51,7 +51,7 @@ def ray_plane(oz: float, dz: float, height: float) -> float:
     return t if t > NEAREST_HIT_M else math.inf
 
 
-@inlined
+@portable_inlined
 def ray_sphere(mx: float, my: float, mz: float, dx: float, dy: float, dz: float, radius: float) -> float:
     """Return the distance to a sphere; m is the ray's origin seen from the centre."""
     half_b = mx * dx + my * dy + mz * dz
@@ -65,7 +65,7 @@ def ray_sphere(mx: float, my: float, mz: float, dx: float, dy: float, dz: float,
     return _first_of(-half_b - root, -half_b + root)
 
 
-@inlined
+@portable_inlined
 def _sphere_beyond(
     mx: float, my: float, mz: float, dx: float, dy: float, dz: float, md: float, dd: float, radius: float
 ) -> float:
@@ -84,7 +84,7 @@ def _sphere_beyond(
     return math.inf
 
 
-@inlined
+@portable_inlined
 def ray_rod(
     mx: float, my: float, mz: float, dx: float, dy: float, dz: float,
     ux: float, uy: float, uz: float, length: float, radius: float, rounded: bool,
@@ -134,7 +134,7 @@ def ray_rod(
     return best
 
 
-@inlined
+@portable_inlined
 def ray_box(
     mx: float, my: float, mz: float, dx: float, dy: float, dz: float,
     hx: float, hy: float, hz: float, cos_yaw: float, sin_yaw: float,
@@ -166,7 +166,7 @@ def ray_box(
     return _first_of(t_near, t_far)
 
 
-@inlined
+@portable_inlined
 def ray_primitive(
     kind: int, row: FloatArray, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float
 ) -> float:
@@ -182,7 +182,7 @@ def ray_primitive(
     return ray_rod(mx, my, mz, dx, dy, dz, row[3], row[4], row[5], row[6], row[7], rounded)
 
 
-@inlined
+@portable_inlined
 def outward_normal(kind: int, row: FloatArray, px: float, py: float, pz: float) -> tuple[float, float, float]:
     """Return the unit normal at a point on a primitive's surface."""
     if kind == PLANE:
@@ -214,7 +214,7 @@ def outward_normal(kind: int, row: FloatArray, px: float, py: float, pz: float) 
     return mx * scale, my * scale, mz * scale
 
 
-@inlined
+@portable_inlined
 def sector_of(x: float, y: float) -> int:
     """Return the horizontal sector (0 to 255) of a direction; monotone in azimuth, without trigonometry."""
     size = abs(x) + abs(y)
@@ -225,7 +225,7 @@ def sector_of(x: float, y: float) -> int:
     return int(quarter * (0.25 * SECTORS)) & (SECTORS - 1)
 
 
-@inlined
+@portable_inlined
 def sector_span(x: float, y: float, distance: float, radius: float) -> tuple[int, int]:
     """Return (first, number) of the sectors from which a disc at (x, y) can be seen."""
     if not distance > radius:

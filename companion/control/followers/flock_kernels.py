@@ -11,7 +11,7 @@
 
 import math
 
-from companion.compiled import inlined
+from companion.compiled import portable_inlined
 from companion.control.followers.flock_limit_kernels import (
     limit_by_neighbours,
     limit_by_obstacles,
@@ -73,7 +73,7 @@ _RECOVERY_AFTER_S = 1.0
 _LEAST_LINK = 0.1
 
 
-@inlined
+@portable_inlined
 def flock(
     ego: FloatArray,
     neighbours: FloatArray,
@@ -99,7 +99,7 @@ def flock(
     _remember_wish(ego, memory, wish)
 
 
-@inlined
+@portable_inlined
 def _gather(
     ego: FloatArray, known: int, memory: FloatArray, parameters: FloatArray, wish: FloatArray
 ) -> None:
@@ -150,7 +150,7 @@ def _gather(
     wish[2] = parameters[FLOCK_HEIGHT_GAIN] * wanted
 
 
-@inlined
+@portable_inlined
 def _close_gaps(
     ego: FloatArray, known: int, memory: FloatArray, parameters: FloatArray, wish: FloatArray
 ) -> None:
@@ -186,7 +186,7 @@ def _close_gaps(
             wish[1] += pull * y
 
 
-@inlined
+@portable_inlined
 def _step_aside(
     x: float, y: float, wx: float, wy: float, vx: float, vy: float, parameters: FloatArray
 ) -> tuple[float, float]:
@@ -228,7 +228,7 @@ def _step_aside(
     return -strength * ex, -strength * ey
 
 
-@inlined
+@portable_inlined
 def _coast(ego: FloatArray, memory: FloatArray, parameters: FloatArray, wish: FloatArray) -> None:
     """Nobody is known: go on as before for a while, and look for the others at the usual height."""
     cos_yaw, sin_yaw = math.cos(ego[EGO_YAW]), math.sin(ego[EGO_YAW])
@@ -241,7 +241,7 @@ def _coast(ego: FloatArray, memory: FloatArray, parameters: FloatArray, wish: Fl
         wish[2] = parameters[RECOVERY_HEIGHT] - ego[EGO_HEIGHT]
 
 
-@inlined
+@portable_inlined
 def _flow_round(memory: FloatArray, parameters: FloatArray, wish: FloatArray) -> None:
     """Add a push away from near columns."""
     reach, radius = parameters[FLOCK_FLOW_REACH], parameters[FLOCK_BODY_RADIUS]
@@ -254,7 +254,7 @@ def _flow_round(memory: FloatArray, parameters: FloatArray, wish: FloatArray) ->
             wish[1] -= strength * math.sin(angle)
 
 
-@inlined
+@portable_inlined
 def _limit_speed(parameters: FloatArray, wish: FloatArray) -> None:
     speed = math.sqrt(wish[0] * wish[0] + wish[1] * wish[1])
     if speed > parameters[MAX_SPEED]:
@@ -262,7 +262,7 @@ def _limit_speed(parameters: FloatArray, wish: FloatArray) -> None:
         wish[1] *= parameters[MAX_SPEED] / speed
 
 
-@inlined
+@portable_inlined
 def _remember_wish(ego: FloatArray, memory: FloatArray, wish: FloatArray) -> None:
     cos_yaw, sin_yaw = math.cos(ego[EGO_YAW]), math.sin(ego[EGO_YAW])
     memory[FLOCK_WISH] = cos_yaw * wish[0] - sin_yaw * wish[1]

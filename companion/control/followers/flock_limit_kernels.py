@@ -7,7 +7,7 @@ new command takes effect.
 
 import math
 
-from companion.compiled import inlined
+from companion.compiled import portable_inlined
 from companion.control.followers.flock_memory_kernels import recall_obstacle
 from companion.control.followers.layout_kernels import (
     AZIMUTHS,
@@ -43,7 +43,7 @@ _TURN_RAD = math.radians(10.0)
 _SAME_SIDE = 0.1
 
 
-@inlined
+@portable_inlined
 def _limit(count: int, nx: float, ny: float, bound: float, memory: FloatArray) -> int:
     """Append the half-plane v.n <= bound; return how many there are then."""
     at = FLOCK_LIMITS + count * FLOCK_LIMIT_SIZE
@@ -53,7 +53,7 @@ def _limit(count: int, nx: float, ny: float, bound: float, memory: FloatArray) -
     return count + 1
 
 
-@inlined
+@portable_inlined
 def limit_by_obstacles(ego: FloatArray, memory: FloatArray, parameters: FloatArray) -> int:
     """Write the half-planes of columns and remembered obstacles that matter; return their number."""
     rate, fastest = parameters[FLOCK_OBSTACLE_RATE], parameters[MAX_SPEED]
@@ -82,7 +82,7 @@ def limit_by_obstacles(ego: FloatArray, memory: FloatArray, parameters: FloatArr
     return count
 
 
-@inlined
+@portable_inlined
 def limit_by_neighbours(
     ego: FloatArray, known: int, count: int, memory: FloatArray, parameters: FloatArray
 ) -> int:
@@ -101,7 +101,7 @@ def limit_by_neighbours(
     return count
 
 
-@inlined
+@portable_inlined
 def _allowed(dx: float, dy: float, speed: float, count: int, memory: FloatArray) -> float:
     """Return the speed up to `speed` that the first `count` half-planes allow along a unit vector."""
     allowed = speed
@@ -113,7 +113,7 @@ def _allowed(dx: float, dy: float, speed: float, count: int, memory: FloatArray)
     return allowed
 
 
-@inlined
+@portable_inlined
 def take_detour(
     ego: FloatArray, count: int, memory: FloatArray, parameters: FloatArray, wish: FloatArray
 ) -> None:
@@ -151,7 +151,7 @@ def take_detour(
                 wish[1] = allowed * dy
 
 
-@inlined
+@portable_inlined
 def project(count: int, memory: FloatArray, wish: FloatArray) -> None:
     """Project the wish onto the first `count` half-planes in turn, the last first.
 

@@ -2,7 +2,7 @@
 
 import math
 
-from companion.compiled import inlined
+from companion.compiled import portable_inlined
 from companion.control.followers.layout_kernels import (
     AZIMUTHS,
     EGO_DT,
@@ -38,7 +38,7 @@ _LONGEST_PREDICTION_S = 1.0
 _SHORTEST_MEMORY_S = 1e-3
 
 
-@inlined
+@portable_inlined
 def remember_neighbours(
     ego: FloatArray, neighbours: FloatArray, memory: FloatArray, parameters: FloatArray
 ) -> None:
@@ -72,7 +72,7 @@ def remember_neighbours(
         memory[at + 7] = neighbours[row, ROW_V + 2] + ego[EGO_V + 2]
 
 
-@inlined
+@portable_inlined
 def _slot_for(memory: FloatArray, number: float, px: float, py: float, pz: float) -> int:
     """Return the slot of this number; or of a lost body where this one is; or a free one; or the oldest."""
     same, free, oldest = -1, -1, FLOCK_SLOTS
@@ -99,7 +99,7 @@ def _slot_for(memory: FloatArray, number: float, px: float, py: float, pz: float
     return free if free >= 0 else oldest
 
 
-@inlined
+@portable_inlined
 def recall_neighbours(ego: FloatArray, memory: FloatArray, parameters: FloatArray) -> int:
     """Write where everybody is believed to be; return how many are known.
 
@@ -127,7 +127,7 @@ def recall_neighbours(ego: FloatArray, memory: FloatArray, parameters: FloatArra
     return count
 
 
-@inlined
+@portable_inlined
 def remember_obstacles(ego: FloatArray, memory: FloatArray, parameters: FloatArray) -> None:
     """Keep the nearest obstacles of the columns for a while, as points of the map.
 
@@ -167,7 +167,7 @@ def remember_obstacles(ego: FloatArray, memory: FloatArray, parameters: FloatArr
         memory[at + 3] = pz
 
 
-@inlined
+@portable_inlined
 def recall_obstacle(
     point: int, ego: FloatArray, memory: FloatArray, parameters: FloatArray
 ) -> tuple[float, float, float]:

@@ -2,7 +2,7 @@
 
 import math
 
-from companion.compiled import compiled, inlined
+from companion.compiled import portable, portable_inlined
 from companion.control.followers.flock_kernels import flock
 from companion.control.followers.layout_kernels import (
     EGO_ALONE,
@@ -30,7 +30,7 @@ _REYNOLDS_APF = METHOD_IDS["reynolds_apf"]
 _LLOYD = METHOD_IDS["lloyd"]
 
 
-@compiled(
+@portable(
     "void(int64, float64[::1], float64[:,::1], float64[:,::1], float64[::1], float64[::1], float64[::1])"
 )
 def steer(
@@ -82,7 +82,7 @@ def steer(
     _finish(ego, memory, parameters, command)
 
 
-@inlined
+@portable_inlined
 def _is_sound(ego: FloatArray, neighbours: FloatArray, ranges: FloatArray) -> bool:
     """Return whether every input can be reckoned with."""
     for index in range(EGO_ALONE):
@@ -102,7 +102,7 @@ def _is_sound(ego: FloatArray, neighbours: FloatArray, ranges: FloatArray) -> bo
     return True
 
 
-@inlined
+@portable_inlined
 def _finish(ego: FloatArray, memory: FloatArray, parameters: FloatArray, command: FloatArray) -> None:
     """Limit the command's speed and its change, and remember it in the map."""
     _limit(
@@ -116,7 +116,7 @@ def _finish(ego: FloatArray, memory: FloatArray, parameters: FloatArray, command
     _remember(ego, memory, command)
 
 
-@inlined
+@portable_inlined
 def _limit(
     ego: FloatArray,
     previous_x: float,
@@ -151,7 +151,7 @@ def _limit(
         command[2] = before_z + dz * allowed / step
 
 
-@inlined
+@portable_inlined
 def _remember(ego: FloatArray, memory: FloatArray, command: FloatArray) -> None:
     cos_yaw, sin_yaw = math.cos(ego[EGO_YAW]), math.sin(ego[EGO_YAW])
     memory[STARTED] = 1.0
@@ -160,13 +160,13 @@ def _remember(ego: FloatArray, memory: FloatArray, command: FloatArray) -> None:
     memory[PREVIOUS + 2] = command[2]
 
 
-@compiled("boolean(float64[::1], float64[:,::1], float64[:,::1])")
+@portable("boolean(float64[::1], float64[:,::1], float64[:,::1])")
 def is_sound(ego: FloatArray, neighbours: FloatArray, ranges: FloatArray) -> bool:
     """Return whether `steer` can reckon with its inputs; if not it asks for zero velocity."""
     return _is_sound(ego, neighbours, ranges)
 
 
-@compiled("void(float64[::1], float64[::1], float64[::1], float64[::1])")
+@portable("void(float64[::1], float64[::1], float64[::1], float64[::1])")
 def limit_command(
     ego: FloatArray, previous_map: FloatArray, parameters: FloatArray, command: FloatArray
 ) -> None:
@@ -182,7 +182,7 @@ def limit_command(
     _limit(ego, previous_map[0], previous_map[1], previous_map[2], parameters, command)
 
 
-@compiled("void(float64[::1], float64[::1], float64[::1], float64[::1], float64[::1])")
+@portable("void(float64[::1], float64[::1], float64[::1], float64[::1], float64[::1])")
 def overrule(
     ego: FloatArray,
     previous_map: FloatArray,

@@ -10,7 +10,7 @@ the goal is what a follower has instead: the neighbours' mean, and where they ar
 
 import math
 
-from companion.compiled import inlined
+from companion.compiled import portable_inlined
 from companion.control.followers.layout_kernels import (
     AZIMUTHS,
     EGO_DT,
@@ -44,7 +44,7 @@ _LARGEST_TURN = 0.5 * math.pi
 _TURNED_ENOUGH = 0.95 * _LARGEST_TURN
 
 
-@inlined
+@portable_inlined
 def lloyd(
     ego: FloatArray,
     neighbours: FloatArray,
@@ -82,7 +82,7 @@ def lloyd(
     _retreat(neighbours, memory, parameters, wish)
 
 
-@inlined
+@portable_inlined
 def _adapt(
     to_centroid: float, hindrance: float, dt: float, memory: FloatArray, parameters: FloatArray
 ) -> None:
@@ -95,13 +95,13 @@ def _adapt(
     memory[PLAIN_STATE + 1] = turn + min(_TURN_PER_S * dt, 1.0) * (target - turn)
 
 
-@inlined
+@portable_inlined
 def _boundary_of_neighbour(distance: float, spacing: float) -> float:
     """Return how far a cell reaches towards a neighbour; negative where it is too near already."""
     return min(0.5 * distance, distance - spacing)
 
 
-@inlined
+@portable_inlined
 def _reach(
     cos_ray: float, sin_ray: float, neighbours: FloatArray, memory: FloatArray, parameters: FloatArray
 ) -> float:
@@ -127,7 +127,7 @@ def _reach(
     return reach
 
 
-@inlined
+@portable_inlined
 def _centroid(
     gx: float, gy: float, spread: float, neighbours: FloatArray, memory: FloatArray, parameters: FloatArray
 ) -> tuple[float, float, float, float]:
@@ -155,7 +155,7 @@ def _centroid(
     return mass_x / mass, mass_y / mass, disc_x / disc, disc_y / disc
 
 
-@inlined
+@portable_inlined
 def _retreat(neighbours: FloatArray, memory: FloatArray, parameters: FloatArray, wish: FloatArray) -> None:
     """Give way where something is inside the boundary of the cell already."""
     rate = parameters[LLOYD_RETREAT]

@@ -7,7 +7,7 @@ of the obstacle grid; whether a neighbour leads nobody knows, so nobody slows do
 
 import math
 
-from companion.compiled import inlined
+from companion.compiled import portable_inlined
 from companion.control.followers.layout_kernels import (
     AZIMUTHS,
     EGO_P,
@@ -48,7 +48,7 @@ _COLUMNS_PER_OBSTACLE = 3
 _BRAKING_POWER = 8.0
 
 
-@inlined
+@portable_inlined
 def pacnav(
     ego: FloatArray,
     neighbours: FloatArray,
@@ -69,13 +69,13 @@ def pacnav(
         wish[1] *= parameters[PACNAV_MAX_SPEED] / speed
 
 
-@inlined
+@portable_inlined
 def _distance(ego: FloatArray, memory: FloatArray, path: int) -> float:
     at = path_at(path) + PACNAV_LAST_P
     return math.hypot(memory[at] - ego[EGO_P], memory[at + 1] - ego[EGO_P + 1])
 
 
-@inlined
+@portable_inlined
 def _relative(ego: FloatArray, memory: FloatArray, path: int) -> tuple[float, float]:
     """Return where a neighbour is, or was when it went out of sight, in the heading frame."""
     cos_yaw, sin_yaw = math.cos(ego[EGO_YAW]), math.sin(ego[EGO_YAW])
@@ -84,7 +84,7 @@ def _relative(ego: FloatArray, memory: FloatArray, path: int) -> tuple[float, fl
     return cos_yaw * dx + sin_yaw * dy, cos_yaw * dy - sin_yaw * dx
 
 
-@inlined
+@portable_inlined
 def _choose_target(ego: FloatArray, memory: FloatArray, parameters: FloatArray) -> None:
     """Keep the target, unless somebody who is not on the way to it flies more purposefully.
 
@@ -130,7 +130,7 @@ def _choose_target(ego: FloatArray, memory: FloatArray, parameters: FloatArray) 
     memory[PACNAV_TARGET] = memory[path_at(target)]
 
 
-@inlined
+@portable_inlined
 def _navigate(ego: FloatArray, memory: FloatArray, parameters: FloatArray, wish: FloatArray) -> None:
     """Fly to the target, braked towards every neighbour that is nearer than the flock's radius."""
     nx, ny = 0.0, 0.0
@@ -155,7 +155,7 @@ def _navigate(ego: FloatArray, memory: FloatArray, parameters: FloatArray, wish:
     wish[1] = parameters[PACNAV_NAVIGATION] * ny
 
 
-@inlined
+@portable_inlined
 def _keep_clear(ego: FloatArray, memory: FloatArray, parameters: FloatArray, wish: FloatArray) -> None:
     """Add the mean force of the obstacles and that of the neighbours."""
     cos_yaw, sin_yaw = math.cos(ego[EGO_YAW]), math.sin(ego[EGO_YAW])
@@ -191,7 +191,7 @@ def _keep_clear(ego: FloatArray, memory: FloatArray, parameters: FloatArray, wis
         wish[1] += sum_y / count
 
 
-@inlined
+@portable_inlined
 def _force(
     x: float, y: float, strength: float, reach: float, vx: float, vy: float, parameters: FloatArray
 ) -> tuple[float, float]:

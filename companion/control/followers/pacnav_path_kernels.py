@@ -2,7 +2,7 @@
 
 import math
 
-from companion.compiled import inlined
+from companion.compiled import portable_inlined
 from companion.control.followers.layout_kernels import (
     EGO_DT,
     EGO_P,
@@ -30,46 +30,46 @@ _FIRST = 1
 _LAST = 2
 
 
-@inlined
+@portable_inlined
 def path_at(path: int) -> int:
     """Return where a path begins in the memory."""
     return PACNAV_PATHS + path * PACNAV_PATH_SIZE
 
 
-@inlined
+@portable_inlined
 def sample(memory: FloatArray, path: int, beat: int) -> tuple[float, float]:
     """Return where a neighbour was in the map at a beat of its path."""
     at = path_at(path) + PACNAV_POSITIONS + 2 * (beat % PACNAV_SAMPLES)
     return memory[at], memory[at + 1]
 
 
-@inlined
+@portable_inlined
 def first_beat(memory: FloatArray, path: int) -> int:
     """Return the beat of a path's oldest sample."""
     return int(memory[path_at(path) + _FIRST])
 
 
-@inlined
+@portable_inlined
 def last_beat(memory: FloatArray, path: int) -> int:
     """Return the beat of a path's newest sample."""
     return int(memory[path_at(path) + _LAST])
 
 
-@inlined
+@portable_inlined
 def is_known(memory: FloatArray, path: int) -> bool:
     """Return whether there is any path here."""
     known: bool = memory[path_at(path)] > 0.0
     return known
 
 
-@inlined
+@portable_inlined
 def is_near(memory: FloatArray, path: int, parameters: FloatArray) -> bool:
     """Return whether the neighbour of this path is seen, or was until just now."""
     near: bool = is_known(memory, path) and memory[path_at(path) + PACNAV_AGE] <= parameters[PACNAV_HOLD]
     return near
 
 
-@inlined
+@portable_inlined
 def remember_paths(
     ego: FloatArray, neighbours: FloatArray, memory: FloatArray, parameters: FloatArray
 ) -> None:
@@ -103,7 +103,7 @@ def remember_paths(
     _append(beat + 1, memory, parameters)
 
 
-@inlined
+@portable_inlined
 def _append(beat: int, memory: FloatArray, parameters: FloatArray) -> None:
     kept = int(parameters[PACNAV_HISTORY] / parameters[PACNAV_BEAT_LENGTH] + 0.5)
     oldest = beat - min(kept, PACNAV_SAMPLES - 1)
@@ -123,7 +123,7 @@ def _append(beat: int, memory: FloatArray, parameters: FloatArray) -> None:
             memory[at] = 0.0
 
 
-@inlined
+@portable_inlined
 def _begin(memory: FloatArray, at: int, beat: int, px: float, py: float) -> None:
     place = at + PACNAV_POSITIONS + 2 * (beat % PACNAV_SAMPLES)
     memory[place] = px
@@ -132,7 +132,7 @@ def _begin(memory: FloatArray, at: int, beat: int, px: float, py: float) -> None
     memory[at + _LAST] = beat
 
 
-@inlined
+@portable_inlined
 def _path_for(memory: FloatArray, number: float) -> int:
     """Return the path of this number, or a free one, or that of whoever has been away longest."""
     free, oldest = -1, 0
@@ -147,7 +147,7 @@ def _path_for(memory: FloatArray, number: float) -> int:
     return free if free >= 0 else oldest
 
 
-@inlined
+@portable_inlined
 def _heading_of_step(memory: FloatArray, path: int, beat: int, still: float) -> tuple[float, float]:
     """Return the unit vector from one sample to the next, or zero if it is not longer than noise."""
     x0, y0 = sample(memory, path, beat)
@@ -159,7 +159,7 @@ def _heading_of_step(memory: FloatArray, path: int, beat: int, still: float) -> 
     return dx / size, dy / size
 
 
-@inlined
+@portable_inlined
 def persistence(memory: FloatArray, path: int, still: float) -> float:
     """Return how straight a path is: the mean cosine between successive steps, -1 with two samples."""
     first, last = first_beat(memory, path), last_beat(memory, path)
@@ -174,7 +174,7 @@ def persistence(memory: FloatArray, path: int, still: float) -> float:
     return total / (last - first - 1)
 
 
-@inlined
+@portable_inlined
 def similarity(memory: FloatArray, path: int, other: int, still: float) -> float:
     """Return how alike two neighbours moved at the same times: the mean cosine; -1 without common steps."""
     first = max(first_beat(memory, path), first_beat(memory, other))
@@ -189,7 +189,7 @@ def similarity(memory: FloatArray, path: int, other: int, still: float) -> float
     return total / (last - first)
 
 
-@inlined
+@portable_inlined
 def score(memory: FloatArray, path: int, parameters: FloatArray) -> float:
     """Return a neighbour's persistence plus its similarity to every other near neighbour."""
     still = parameters[PACNAV_STILL]

@@ -7,7 +7,7 @@ for manipulators and mobile robots", 1986, eq. 18.
 
 import math
 
-from companion.compiled import inlined
+from companion.compiled import portable_inlined
 from companion.control.followers.layout_kernels import (
     AZIMUTHS,
     EGO_DT,
@@ -35,7 +35,7 @@ _SECTORS = 12
 _LEAST_GAP_M = 0.05
 
 
-@inlined
+@portable_inlined
 def reynolds(
     ego: FloatArray,
     neighbours: FloatArray,
@@ -63,7 +63,7 @@ def reynolds(
     _avoid(ranges, memory, parameters, wish)
 
 
-@inlined
+@portable_inlined
 def _smoothed(
     vx: float, vy: float, ego: FloatArray, memory: FloatArray, parameters: FloatArray
 ) -> tuple[float, float]:
@@ -79,7 +79,7 @@ def _smoothed(
     return cos_yaw * mx + sin_yaw * my, cos_yaw * my - sin_yaw * mx
 
 
-@inlined
+@portable_inlined
 def _avoid(ranges: FloatArray, memory: FloatArray, parameters: FloatArray, wish: FloatArray) -> None:
     """Add the repulsion of the nearest return in each sector."""
     find_columns_up_to(ranges, _HIGHEST_RAD, memory, PLAIN_COLUMNS)

@@ -2,7 +2,7 @@
 
 import math
 
-from companion.compiled import inlined
+from companion.compiled import portable_inlined
 from companion.control.followers.layout_kernels import (
     EGO_HEIGHT,
     HEIGHT_GAIN,
@@ -16,7 +16,7 @@ from companion.control.followers.layout_kernels import (
 from companion.messages import FloatArray
 
 
-@inlined
+@portable_inlined
 def find_columns(ranges: FloatArray, below: float, above: float, columns: FloatArray, first: int) -> None:
     """Find the nearest horizontal distance in each direction, within a band about the own height.
 
@@ -44,7 +44,7 @@ def find_columns(ranges: FloatArray, below: float, above: float, columns: FloatA
                 columns[first + column] = min(columns[first + column], reach * flat)
 
 
-@inlined
+@portable_inlined
 def find_columns_up_to(ranges: FloatArray, highest: float, columns: FloatArray, first: int) -> None:
     """Find the nearest horizontal distance in each direction, in the cells centred up to an elevation.
 
@@ -70,13 +70,13 @@ def find_columns_up_to(ranges: FloatArray, highest: float, columns: FloatArray, 
                 columns[first + column] = min(columns[first + column], reach * flat)
 
 
-@inlined
+@portable_inlined
 def direction_of(column: int, azimuths: int) -> float:
     """Return the angle of a column's centre to the left of straight ahead, rad."""
     return (column + 0.5) * 2.0 * math.pi / azimuths
 
 
-@inlined
+@portable_inlined
 def keep_height(ego: FloatArray, neighbours: FloatArray, parameters: FloatArray) -> float:
     """Return the vertical velocity towards the neighbours' mean height, or home if nobody is seen."""
     count, rise = 0, 0.0

@@ -6,7 +6,7 @@ Source: R. Bastien, P. Romanczuk, "A model of collective behavior based purely o
 
 import math
 
-from companion.compiled import inlined
+from companion.compiled import portable_inlined
 from companion.control.followers.layout_kernels import (
     AZIMUTHS,
     EGO_DT,
@@ -42,7 +42,7 @@ _HIGHEST_RAD = math.radians(20.0)
 _LEAST_DISTANCE_M = 1e-3
 
 
-@inlined
+@portable_inlined
 def _size_of(neighbours: FloatArray, row: int, radius: float) -> tuple[float, float]:
     """Return a neighbour's distance, and half the angle under which it appears."""
     x, y, z = neighbours[row, ROW_P], neighbours[row, ROW_P + 1], neighbours[row, ROW_P + 2]
@@ -50,7 +50,7 @@ def _size_of(neighbours: FloatArray, row: int, radius: float) -> tuple[float, fl
     return distance, math.asin(min(1.0, radius / distance))
 
 
-@inlined
+@portable_inlined
 def _is_hidden(neighbours: FloatArray, row: int, radius: float) -> bool:
     """Return whether a nearer neighbour stands before the middle of this one."""
     distance, _ = _size_of(neighbours, row, radius)
@@ -68,7 +68,7 @@ def _is_hidden(neighbours: FloatArray, row: int, radius: float) -> bool:
     return False
 
 
-@inlined
+@portable_inlined
 def _obstacles(ranges: FloatArray, reach: float, memory: FloatArray) -> tuple[float, float]:
     """Return the sum of the directions of all blobs of near columns, weighted with how wide they appear.
 
@@ -96,7 +96,7 @@ def _obstacles(ranges: FloatArray, reach: float, memory: FloatArray) -> tuple[fl
     return sum_x, sum_y
 
 
-@inlined
+@portable_inlined
 def visual_field(
     ego: FloatArray,
     neighbours: FloatArray,
@@ -126,7 +126,7 @@ def visual_field(
     wish[1] -= parameters[VPF_OBSTACLE] * away_y
 
 
-@inlined
+@portable_inlined
 def visual_field_polar(
     ego: FloatArray,
     neighbours: FloatArray,
