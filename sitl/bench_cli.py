@@ -21,6 +21,7 @@ app = typer.Typer(help="Measure what this product promises.", no_args_is_help=Tr
 app.command(epilog="Example: sitl bench tracking --scenes weave,crowd --seeds 3 --seconds 60")(tracking)
 
 _DEMO = Path("field_configs/sitl_leader_pillars.yaml")
+_RECIPE = Path("field_configs/train_best.yaml")
 
 
 @app.command(epilog="Example: sitl bench raycast --json")
@@ -244,6 +245,44 @@ def swarm(
             for number in dict.fromkeys((1, processes)):
                 rows.append(measure(site, followers, trials, number))
                 shown(rows[-1])
+        return {"rows": rows}, ExitCode.OK
+
+    conclude(body, json_output)
+
+
+@app.command(
+    epilog="Example: sitl bench environment field_configs/train_best.yaml --set environment.scenes=200"
+)
+def environment(
+    recipe: Annotated[Path, typer.Argument(metavar="RECIPE", help="YAML recipe of a training.")] = _RECIPE,
+    changes: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="Change a setting of the recipe; may be repeated."),
+    ] = None,
+    workers: Annotated[int, typer.Option(min=1, help="Measured with one thread and with so many.")] = 2,
+    steps: Annotated[int, typer.Option(min=1, help="Control steps of each.")] = 400,
+    json_output: AsJson = False,
+) -> None:
+    """Steps of UAVs a second in the training environment alone, without networks; leaders count as UAVs."""
+
+    def body() -> tuple[Result, ExitCode]:
+        from sitl.bench.environment_speed import measure
+        from sitl.training.settings import load_training
+
+        table, progress = Table(), Progress()
+        rows: list[dict[str, object]] = []
+
+        def show_scenes(done: int, total: int) -> None:
+            progress.show(f"scenes: {done} of {total} built")
+
+        try:
+            for row in measure(load_training(recipe, changes or ()), workers, steps, show_scenes):
+                progress.clear()
+                rows.append(row)
+                if not json_output:
+                    table.show(row)
+        finally:
+            progress.clear()
         return {"rows": rows}, ExitCode.OK
 
     conclude(body, json_output)
