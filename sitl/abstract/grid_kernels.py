@@ -231,10 +231,10 @@ def _hide_behind(
     least = math.sqrt(1.0 - radius * radius / square) * distance
     # No elevation brings an edge of a column nearer to the body's centre than this.
     barely = least * least * (1.0 - 1e-9)
+    b = column_edges[0, 0] * x + column_edges[0, 1] * y
     for column in range(columns):
         # Nothing is covered in columns that look elsewhere.
-        a, b = column_edges[column, 0] * x + column_edges[column, 1] * y, 0.0
-        b = column_edges[column + 1, 0] * x + column_edges[column + 1, 1] * y
+        a, b = b, column_edges[column + 1, 0] * x + column_edges[column + 1, 1] * y
         across = min(a, b)
         if across <= 0.0 or across * across + z * z < barely:
             continue

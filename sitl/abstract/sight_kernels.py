@@ -12,6 +12,7 @@ from sitl.worlds.raycast_kernels import ray_primitive, ray_sphere
 
 _SIGHT_RAYS = 5
 _SAME_PLACE_M = 1e-6
+_WELL_CLEAR = 4.1
 
 
 @portable_inlined
@@ -88,31 +89,44 @@ def sees(
     flat = math.sqrt(dx * dx + dy * dy)
     ex, ey = (dx / flat, dy / flat) if flat > _SAME_PLACE_M else (1.0, 0.0)
     cosine, rise = flat / distance, dz / distance
-    blocked = 0
-    for ray in range(_SIGHT_RAYS):
-        # Centre, left, right, above and below of the disc that faces the observer.
-        side = body_radius if ray == 1 else (-body_radius if ray == 2 else 0.0)
-        lift = body_radius if ray == 3 else (-body_radius if ray == 4 else 0.0)
-        rx = dx - side * ey - lift * rise * ex
-        ry = dy + side * ex - lift * rise * ey
-        rz = dz + lift * cosine
-        length = math.sqrt(rx * rx + ry * ry + rz * rz)
-        rx, ry, rz = rx / length, ry / length, rz / length
-        free = True
-        for slot in range(count):
-            k = candidates[slot]
-            if _passes_near(discs[k], ox, oy, ex, ey, flat, body_radius) and (
-                ray_primitive(kinds[k], rows[k], ox, oy, oz, rx, ry, rz) < length
-            ):
-                free = False
-                break
-        for k in range(states.shape[0]):
-            if free and k != i and k != j:
-                mx, my, mz = ox - states[k, 0], oy - states[k, 1], oz - states[k, 2]
-                free = ray_sphere(mx, my, mz, rx, ry, rz, body_radius) >= length
-        blocked += 0 if free else 1
-        if blocked > _SIGHT_RAYS - free_rays:
-            return False
-        if ray + 1 - blocked >= free_rays:
-            return True
-    return False
+    # One bit for each ray that is blocked; each thing is looked at once, and most are nowhere near.
+    blocked, most_blocked = 0, _SIGHT_RAYS - free_rays
+    for slot in range(count + states.shape[0]):
+        k = candidates[slot] if slot < count else slot - count
+        if slot < count:
+            if not _passes_near(discs[k], ox, oy, ex, ey, flat, body_radius):
+                continue
+        else:
+            # No ray is farther than a body's radius from the line between the two.
+            x, y, z = states[k, 0] - ox, states[k, 1] - oy, states[k, 2] - oz
+            along = min(max((x * dx + y * dy + z * dz) / distance, 0.0), distance) / distance
+            x, y, z = x - along * dx, y - along * dy, z - along * dz
+            if x * x + y * y + z * z > _WELL_CLEAR * body_radius * body_radius:
+                continue
+            if k == i:
+                continue
+            if k == j:
+                continue
+        for ray in range(_SIGHT_RAYS):
+            if blocked & (1 << ray):
+                continue
+            # Centre, left, right, above and below of the disc that faces the observer.
+            side = body_radius if ray == 1 else (-body_radius if ray == 2 else 0.0)
+            lift = body_radius if ray == 3 else (-body_radius if ray == 4 else 0.0)
+            rx = dx - side * ey - lift * rise * ex
+            ry = dy + side * ex - lift * rise * ey
+            rz = dz + lift * cosine
+            length = math.sqrt(rx * rx + ry * ry + rz * rz)
+            rx, ry, rz = rx / length, ry / length, rz / length
+            if slot < count:
+                t = ray_primitive(kinds[k], rows[k], ox, oy, oz, rx, ry, rz)
+            else:
+                t = ray_sphere(
+                    ox - states[k, 0], oy - states[k, 1], oz - states[k, 2], rx, ry, rz, body_radius
+                )
+            if t < length:
+                blocked |= 1 << ray
+                most_blocked -= 1
+                if most_blocked < 0:
+                    return False
+    return True
