@@ -125,12 +125,8 @@ def describe_grid(ranges: FloatArray, out: Float32Array) -> None:
     for column in range(AZIMUTHS):
         for row in range(ELEVATIONS):
             nearness = 1.0 - ranges[column, row] / _GRID_RANGE_M
-            if nearness > 0.0:
-                out[0, column, row] = nearness
-                out[1, column, row] = 1.0
-            else:
-                out[0, column, row] = 0.0
-                out[1, column, row] = 0.0
+            out[0, column, row] = nearness if nearness > 0.0 else 0.0
+            out[1, column, row] = 1.0 if nearness > 0.0 else 0.0
 
 
 @portable_inlined

@@ -24,7 +24,6 @@ TRACK_WIDTH = 22
 
 _SIGHT_STREAM, _OWN_STREAM = 1, 2
 _DROPOUT_DRAW = 64
-_BEFORE_ALL = -1.0
 _NO_MEMORY_S = 1e-6
 
 
@@ -172,6 +171,22 @@ def _put(row: FloatArray, at: int, x: float, y: float, z: float, cosine: float, 
     row[at + 2] = z
 
 
+@portable_inlined
+def _sort_in(rows: FloatArray, filled: int, most: int, square: float, j: int) -> int:
+    """Keep the nearest, each with its squared distance and number; return how many are kept.
+
+    Of equally near ones those that come first stay in front.
+    """
+    at = filled
+    while at > 0 and rows[at - 1, 0] > square:
+        if at < most:
+            rows[at, 0], rows[at, 7] = rows[at - 1, 0], rows[at - 1, 7]
+        at -= 1
+    if at < most:
+        rows[at, 0], rows[at, 7] = square, j
+    return min(filled + 1, most)
+
+
 @portable(
     "void(uint64, int64, int64, float64[:,:,::1], float64[::1], float64[:,::1], float64[::1], float64[:,::1])"
 )
@@ -220,30 +235,26 @@ def observe(
     for j in range(tracks.shape[0]):
         anybody = anybody or tracks[j, IS_KNOWN] > 0.0
     ego[9] = 0.0 if anybody else ego[9] + dt
-    for row in range(neighbours.shape[0]):
-        for column in range(neighbours.shape[1]):
-            neighbours[row, column] = 0.0
     now = step * dt
     most = min(int(parameters[place.NEIGHBOUR_COUNT]), neighbours.shape[0])
-    filled, least, least_j = 0, _BEFORE_ALL, -1
-    while filled < most:
-        # The next nearest after the one before, so that no order needs to be kept.
-        best, best_j = math.inf, -1
-        for j in range(tracks.shape[0]):
-            track = tracks[j]
-            if track[IS_KNOWN] == 0.0:
-                continue
-            age = now - track[T_VALID] if compensate else 0.0
-            square = 0.0
-            for axis in range(3):
-                origin = own[axis] if compensate else track[OWN_P + axis]
-                square += (track[axis] + age * track[3 + axis] - origin) ** 2
-            if (square > least or (square == least and j > least_j)) and square < best:
-                best, best_j = square, j
-        if best_j < 0:
-            break
-        least, least_j = best, best_j
-        track, row_of = tracks[best_j], neighbours[filled]
+    filled = 0
+    for j in range(tracks.shape[0]):
+        track = tracks[j]
+        if track[IS_KNOWN] == 0.0:
+            continue
+        age = now - track[T_VALID] if compensate else 0.0
+        square = 0.0
+        for axis in range(3):
+            origin = own[axis] if compensate else track[OWN_P + axis]
+            square += (track[axis] + age * track[3 + axis] - origin) ** 2
+        if square < math.inf:
+            filled = _sort_in(neighbours, filled, most, square, j)
+    for row in range(filled, neighbours.shape[0]):
+        for column in range(neighbours.shape[1]):
+            neighbours[row, column] = 0.0
+    for row in range(filled):
+        best_j = int(neighbours[row, 7])
+        track, row_of = tracks[best_j], neighbours[row]
         if compensate:
             age = now - track[T_VALID]
             _put(
@@ -256,4 +267,3 @@ def observe(
             _put(row_of, 3, track[3] - track[9], track[4] - track[10], track[5] - track[11], cosine, sine)
         row_of[6] = 1.0
         row_of[7] = best_j
-        filled += 1

@@ -17,6 +17,10 @@ N_PARAMETERS = abstract.N_PARAMETERS + 1
 SNAPSHOT_STEPS = 20
 """A snapshot is kept every so many steps; a whole number of scan periods."""
 
+SHOW_NOTHING, SHOW_CHANGES, SHOW_ALL = range(3)
+"""What of an observation is written at a step: only flock's command; what may have changed since the step
+before, that is all but the grid, and the grid if a scan has come; or all of it."""
+
 _F1, _F2, _F3, _F4 = "float64[::1]", "float64[:,::1]", "float64[:,:,::1]", "float64[:,:,:,::1]"
 _F5 = "float64[:,:,:,:,::1]"
 _G1, _G2, _G3, _G4 = "float32[::1]", "float32[:,::1]", "float32[:,:,::1]", "float32[:,:,:,::1]"

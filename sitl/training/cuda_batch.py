@@ -92,17 +92,19 @@ class CudaSwarmBatch(SwarmBatch):
         terms, reward, terminated, truncated = self._card_paid
         self._result = StepResult(self.observation, terms, reward, terminated, truncated, [])
 
-    def step(self, velocity: Any) -> StepResult:
+    def step(self, velocity: Any, *, is_shown: bool = True) -> StepResult:
         """Fly on.
 
         Args:
             velocity: (K, 3) what each follower wants to fly, heading frame, m/s, before limits.
+            is_shown: whether anybody looks at the observation, see `SwarmBatch.step`.
 
         Raises:
             ValueError: if the shape is another.
         """
         if tuple(velocity.shape) != (self.streams, 3):
             raise ValueError(f"velocity is {tuple(velocity.shape)}, expected {(self.streams, 3)}")
+        self._show(is_shown)
         self._fly(velocity, [0] * len(self._cohorts))
         self._result.finished.clear()
         self._result.finished.extend(self._end_and_begin())
@@ -136,17 +138,17 @@ class CudaSwarmBatch(SwarmBatch):
             card.acts,
         )  # fmt: skip
         run.count(count, which, 1, card.swarm, card.motion, card.acts)
-        self._see(card, which, count * n)
+        self._see(card, which, count * n, self._showing)
         run.judge(count, which, card.swarm, card.motion, card.views, card.acts)
         run.pay(
             count * (n - 1), which, self._card_rays, self._card_numbers, self._card_weights, card.swarm,
             card.motion, card.views, card.acts, self._card_paid,
         )  # fmt: skip
 
-    def _see(self, card: _OnCard, which: Any, threads: int) -> None:
+    def _see(self, card: _OnCard, which: Any, threads: int, showing: int) -> None:
         self._run.see(
-            threads, which, self._number, self._card_bank, self._card_rays, self._card_law, card.swarm,
-            card.motion, card.views, card.acts, self._card_shown, card.snapshots,
+            threads, which, self._number, showing, self._card_bank, self._card_rays, self._card_law,
+            card.swarm, card.motion, card.views, card.acts, self._card_shown, card.snapshots,
         )  # fmt: skip
 
     def _end_and_begin(self) -> list[EpisodeSummary]:
@@ -175,7 +177,7 @@ class CudaSwarmBatch(SwarmBatch):
             self._run.scatter(rows.size, numbers, cuda.to_device(rows), flat)
         self._run.begin(len(which) * n, numbers, self._card_bank, card.swarm, card.motion)
         self._run.count(len(which), numbers, 0, card.swarm, card.motion, card.acts)
-        self._see(card, numbers, len(which) * n)
+        self._see(card, numbers, len(which) * n, at.SHOW_ALL)
 
 
 def _groups(cohort: Cohort) -> tuple[tuple[NDArray[Any], ...], ...]:

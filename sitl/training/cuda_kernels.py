@@ -67,8 +67,8 @@ def _count(which: Numbers, steps: int, swarm: Arrays, motion: Arrays, acts: Arra
 
 
 def _see(
-    which: Numbers, contract: int, bank: Arrays, rays: Arrays, law: FloatArray, swarm: Arrays, motion: Arrays,
-    views: Arrays, acts: Arrays, shown: Arrays, snapshots: Arrays,
+    which: Numbers, contract: int, showing: int, bank: Arrays, rays: Arrays, law: FloatArray, swarm: Arrays,
+    motion: Arrays, views: Arrays, acts: Arrays, shown: Arrays, snapshots: Arrays,
 ) -> None:  # fmt: skip
     t, n = cuda.grid(1), motion[3].shape[1]
     if t < which.shape[0] * n:
@@ -76,8 +76,9 @@ def _see(
         up = cuda.local.array(3, float64)
         s = which[t // n]
         see_one(
-            s, t % n, contract, world_of(s, bank, swarm), grid_of(s, rays, swarm), motion_of(s, motion),
-            views_of(s, views), law, swarm, motion, views, acts, shown, snapshots, roles[:n], up,
+            s, t % n, contract, showing, world_of(s, bank, swarm), grid_of(s, rays, swarm),
+            motion_of(s, motion), views_of(s, views), law, swarm, motion, views, acts, shown, snapshots,
+            roles[:n], up,
         )  # fmt: skip
 
 

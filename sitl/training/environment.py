@@ -116,6 +116,7 @@ class SwarmBatch:
         )  # fmt: skip
         paid = self._result
         self._paid = (paid.terms, paid.reward, paid.terminated.view(np.uint8), paid.truncated.view(np.uint8))
+        self._showing = at.SHOW_ALL
         self._workers = workers
         self._pool = ThreadPoolExecutor(workers) if workers > 1 else None
 
@@ -132,20 +133,24 @@ class SwarmBatch:
         self._crashes = [CrashReplay(self.settings.replay) for _ in self._cohorts]
         for index, cohort in enumerate(self._cohorts):
             self._begin(index, np.arange(len(cohort)))
+        self._showing = at.SHOW_CHANGES
         self._stagger()
         return self.observation
 
-    def step(self, velocity: Float32Array) -> StepResult:
+    def step(self, velocity: Float32Array, *, is_shown: bool = True) -> StepResult:
         """Fly on.
 
         Args:
             velocity: (K, 3) what each follower wants to fly, heading frame, m/s, before limits.
+            is_shown: whether anybody looks at the observation; if not, only its `reference` is of the new
+                state. What is shown later does not depend on it.
 
         Raises:
             ValueError: if the shape is another.
         """
         if velocity.shape != (self.streams, 3):
             raise ValueError(f"velocity is {velocity.shape}, expected {(self.streams, 3)}")
+        self._show(is_shown)
         self._fly(np.ascontiguousarray(velocity, np.float32), [0] * len(self._cohorts))
         self._result.finished.clear()
         self._result.finished.extend(self._end_and_begin())
@@ -182,12 +187,21 @@ class SwarmBatch:
         self._rng.bit_generator.state = copy.deepcopy(state["rng"])
         for shown, kept in zip(self._shown, state["shown"], strict=True):
             shown[...] = kept
+        # It may have been stored after a step that was not shown.
+        self._showing = at.SHOW_NOTHING
         return self.observation
 
     def close(self) -> None:
         """End its threads."""
         if self._pool is not None:
             self._pool.shutdown()
+
+    def _show(self, is_shown: bool) -> None:
+        """Decide what of the next observation is written: more, if the last was not."""
+        if not is_shown:
+            self._showing = at.SHOW_NOTHING
+        else:
+            self._showing = at.SHOW_ALL if self._showing == at.SHOW_NOTHING else at.SHOW_CHANGES
 
     def _fly(self, velocity: Float32Array, firsts: list[int]) -> None:
         """Fly on in every cohort the swarms from a number on."""
@@ -211,9 +225,9 @@ class SwarmBatch:
     def _fly_piece(self, velocity: Float32Array, index: int, first: int, last: int) -> None:
         cohort = self._cohorts[index]
         step_swarms(
-            first, last, self._number, velocity, self._bank, self._rays, self._law, self._numbers,
-            self._weights, cohort.swarm, cohort.motion, cohort.views, cohort.acts, self._shown, self._paid,
-            cohort.snapshots,
+            first, last, self._number, self._showing, velocity, self._bank, self._rays, self._law,
+            self._numbers, self._weights, cohort.swarm, cohort.motion, cohort.views, cohort.acts, self._shown,
+            self._paid, cohort.snapshots,
         )  # fmt: skip
 
     def _stagger(self) -> None:

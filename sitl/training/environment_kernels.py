@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from companion.compiled import portable, portable_inlined
-from companion.control.followers.laws_kernels import overrule, steer
-from companion.control.followers.layout_kernels import METHOD_IDS, PREVIOUS
+from companion.control.followers.laws_kernels import overrule, steer_flock
+from companion.control.followers.layout_kernels import PREVIOUS
 from companion.control.observation_kernels import describe_all_but_grid, describe_grid
 from companion.messages import Float32Array, FloatArray
 from sitl.abstract import layout_kernels as place
@@ -42,7 +42,6 @@ from sitl.training.snapshot_kernels import keep_snapshot
 
 Arrays = tuple[Any, ...]
 
-_FLOCK = METHOD_IDS["flock"]
 _LARGEST_DIFFERENCE = 16.0
 
 
@@ -80,11 +79,11 @@ def grid_of(s: int, rays: Arrays, swarm: Arrays) -> Arrays:
 
 @portable_inlined
 def see_one(
-    s: int, i: int, contract: int, world: Arrays, grid: Arrays, moving: Arrays, own: Arrays, law: FloatArray,
-    swarm: Arrays, motion: Arrays, views: Arrays, acts: Arrays, shown: Arrays, snapshots: Arrays,
-    roles: np.ndarray[tuple[int], np.dtype[np.uint8]], up: FloatArray,
+    s: int, i: int, contract: int, showing: int, world: Arrays, grid: Arrays, moving: Arrays, own: Arrays,
+    law: FloatArray, swarm: Arrays, motion: Arrays, views: Arrays, acts: Arrays, shown: Arrays,
+    snapshots: Arrays, roles: np.ndarray[tuple[int], np.dtype[np.uint8]], up: FloatArray,
 ) -> None:  # fmt: skip
-    """Give follower i what it perceives, ask its law, and write its observation.
+    """Give follower i what it perceives, ask its law, and write as much of its observation as is wanted.
 
     `world`, `grid`, `moving` and `own` are the swarm's, `roles` (n,) and `up` (3,) scratch; nothing of the
     other vehicles changes.
@@ -100,14 +99,18 @@ def see_one(
         return
     perceive_one(seeds[s], step, i, world, grid, moving, own, parameters[s], roles, up)
     ego, neighbours, ranges, memory = own[1], own[2], own[3], own[4]
-    states = motion[0][s, step % motion[0].shape[1]]
-    rooms = motion[7][s]
-    dt = parameters[s, place.CONTROL_STEP]
-    left = (places[s, at.LAST_STEP] - step) * dt
+    is_new_grid = step % int(parameters[s, place.SCAN_STEPS]) == 0
     k = places[s, at.FIRST_STREAM] + i - 1
     for axis in range(3):
         flown[s, i, axis] = memory[i, PREVIOUS + axis]
-    steer(_FLOCK, ego[i], neighbours[i], ranges[i], memory[i], law, wanted[s, i])
+    steer_flock(ego[i], neighbours[i], ranges[i], memory[i], law, wanted[s, i], is_new_grid)
+    for axis in range(3):
+        reference[k, axis] = wanted[s, i, axis]
+    if showing == at.SHOW_NOTHING:
+        return
+    states = motion[0][s, step % motion[0].shape[1]]
+    rooms = motion[7][s]
+    left = (places[s, at.LAST_STEP] - step) * parameters[s, place.CONTROL_STEP]
     # The attitude is known at once, as the heading is.
     yaw = yaw_of(states[i, 6:10])
     ux, uy, uz = up_of(states[i, 6:10])
@@ -118,7 +121,7 @@ def see_one(
     previous[0] = cosine * flown[s, i, 0] + sine * flown[s, i, 1]
     previous[1] = cosine * flown[s, i, 1] - sine * flown[s, i, 0]
     previous[2] = flown[s, i, 2]
-    if step % int(parameters[s, place.SCAN_STEPS]) == 0:
+    if is_new_grid or showing == at.SHOW_ALL:
         describe_grid(ranges[i], grid_out[k])
     describe_all_but_grid(
         contract, ego[i], up, neighbours[i], memory[i], law, wanted[s, i], previous, ego_out[k],
@@ -128,8 +131,6 @@ def see_one(
         i, states, rooms[i], parameters[s, place.GROUND], left, world[0], world[1], world[2],
         world[3][i], world[4][i], privileged[k],
     )  # fmt: skip
-    for axis in range(3):
-        reference[k, axis] = wanted[s, i, axis]
 
 
 @portable_inlined
@@ -190,8 +191,8 @@ def begin_swarms(
         take_sample(s, swarm, motion, acts)
         for i in range(n):
             see_one(
-                s, i, contract, world, grid, moving, own, law, swarm, motion, views, acts, shown, snapshots,
-                own[5], own[6],
+                s, i, contract, at.SHOW_ALL, world, grid, moving, own, law, swarm, motion, views, acts, shown,
+                snapshots, own[5], own[6],
             )  # fmt: skip
 
 
@@ -321,13 +322,14 @@ def pay_one(
 
 
 @portable(
-    f"void(int64, int64, int64, float32[:,::1], {at.BANK}, {at.RAYS}, float64[::1], float64[::1],"
+    f"void(int64, int64, int64, int64, float32[:,::1], {at.BANK}, {at.RAYS}, float64[::1], float64[::1],"
     f" float64[::1], {at.SWARM}, {at.MOTION}, {at.VIEWS}, {at.ACTS}, {at.SHOWN}, {at.PAID}, {at.SNAPSHOTS})"
 )
 def step_swarms(
     first: int,
     last: int,
     contract: int,
+    showing: int,
     velocity: Float32Array,
     bank: Arrays,
     rays: Arrays,
@@ -350,6 +352,7 @@ def step_swarms(
         first: number of the first swarm.
         last: one more than that of the last.
         contract: number of the observations' contract.
+        showing: what of the new observations is written, see `batch_layout_kernels`.
         velocity: (K, 3) what each stream wants to fly, heading frame, m/s.
         bank: obstacles and leaders' flights of all scenes.
         rays: tables of the grid.
@@ -374,8 +377,8 @@ def step_swarms(
         take_sample(s, swarm, motion, acts)
         for i in range(n):
             see_one(
-                s, i, contract, world, grid, moving, own, law, swarm, motion, views, acts, shown, snapshots,
-                own[5], own[6],
+                s, i, contract, showing, world, grid, moving, own, law, swarm, motion, views, acts, shown,
+                snapshots, own[5], own[6],
             )  # fmt: skip
         swarm[1][s, at.END] = end_of(s, swarm, motion, views, acts)
         for i in range(1, n):

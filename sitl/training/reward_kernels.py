@@ -105,16 +105,15 @@ def _towards_obstacles(
     cosine, sine = math.cos(yaw), math.sin(yaw)
     ex, ey, ez = (cosine * vx + sine * vy) / speed, (cosine * vy - sine * vx) / speed, vz / speed
     reach, least = numbers[place.PROXIMITY_REACH], numbers[place.DIRECTION_COSINE]
-    # No cell of a column whose azimuth is farther off than this lies in the cone.
-    barely = least * least * (1.0 - 1e-9)
+    # No cell of a column whose azimuth is farther off than this lies in the cone: the level part of a cell's
+    # direction is never longer than one, and that of the lowest cell is as long in all columns.
+    level = directions[0, 0, 0] * directions[0, 0, 0] + directions[0, 0, 1] * directions[0, 0, 1]
+    barely = level * (least * least * (1.0 - 1e-9) - ez * ez)
     columns, elevations = ranges.shape
     total, cells = 0.0, 0
     for column in range(columns):
-        # The level part of a cell's direction is never longer than one.
-        level = directions[column, 0, 0] * directions[column, 0, 0]
-        level = math.sqrt(level + directions[column, 0, 1] * directions[column, 0, 1])
-        across = max((ex * directions[column, 0, 0] + ey * directions[column, 0, 1]) / level, 0.0)
-        if across * across + ez * ez < barely:
+        across = max(ex * directions[column, 0, 0] + ey * directions[column, 0, 1], 0.0)
+        if across * across < barely:
             continue
         for row in range(elevations):
             along = (

@@ -25,8 +25,11 @@ class Batch(Protocol):
         """Begin every trial anew, in another way each round."""
         ...
 
-    def step(self, velocity: Any) -> StepResult:
-        """Fly one step with velocities (streams, 3) float32, heading frame, m/s."""
+    def step(self, velocity: Any, *, is_shown: bool = True) -> StepResult:
+        """Fly one step with velocities (streams, 3) float32, heading frame, m/s.
+
+        If it is not to be shown, only `reference` of the observation need be of the new state.
+        """
         ...
 
     def state(self) -> State:
@@ -102,7 +105,9 @@ class VectorEnvironment(VecEnv):  # type: ignore[misc]  # rsl_rl carries no type
         for step in range(self._hold):
             if change is not None and step > 0:
                 velocity = self._reference + change
-            stepped = self.batch.step(velocity.numpy() if self.device == "cpu" else velocity)
+            stepped = self.batch.step(
+                velocity.numpy() if self.device == "cpu" else velocity, is_shown=step == self._hold - 1
+            )
             self._reference = torch.as_tensor(stepped.observation.reference, device=self.device).clone()
             over = died | cut
             reward += torch.where(over, 0.0, torch.as_tensor(stepped.reward, device=self.device))

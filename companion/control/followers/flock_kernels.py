@@ -84,10 +84,16 @@ def flock(
     memory: FloatArray,
     parameters: FloatArray,
     wish: FloatArray,
+    is_new_grid: bool,
 ) -> None:
-    """Write the velocity that `flock` wants into `wish`, in the heading frame, m/s."""
+    """Write the velocity that `flock` wants into `wish`, in the heading frame, m/s.
+
+    If the grid is not new, it is the one of the call before, and what was found in it holds.
+    """
     remember_neighbours(ego, neighbours, memory, parameters)
-    find_columns(ranges, parameters[FLOCK_BAND_BELOW], parameters[FLOCK_BAND_ABOVE], memory, FLOCK_COLUMNS)
+    if is_new_grid:
+        below, above = parameters[FLOCK_BAND_BELOW], parameters[FLOCK_BAND_ABOVE]
+        find_columns(ranges, below, above, memory, FLOCK_COLUMNS)
     remember_obstacles(ego, memory, parameters)
     known = recall_neighbours(ego, memory, parameters)
     memory[FLOCK_KNOWN] = known
@@ -252,10 +258,10 @@ def _flow_round(memory: FloatArray, parameters: FloatArray, wish: FloatArray) ->
     for column in range(AZIMUTHS):
         room = max(memory[FLOCK_COLUMNS + column] - radius, _LEAST_GAP_M)
         if room < reach:
-            angle = direction_of(column, AZIMUTHS)
+            cosine, sine = direction_of(column)
             strength = parameters[FLOCK_FLOW] * (1.0 / room - 1.0 / reach) / _FLOW_COLUMNS
-            wish[0] -= strength * math.cos(angle)
-            wish[1] -= strength * math.sin(angle)
+            wish[0] -= strength * cosine
+            wish[1] -= strength * sine
 
 
 @portable_inlined

@@ -7,6 +7,8 @@ new command takes effect. What will be left aside with enough clearance does not
 
 import math
 
+import numpy as np
+
 from companion.compiled import portable_inlined
 from companion.control.followers.flock_memory_kernels import recall_obstacle
 from companion.control.followers.layout_kernels import (
@@ -42,6 +44,8 @@ _RETREAT_MPS = 1.0
 _SAME_PLACE_M = 1e-6
 _TURNS = 11
 _TURN_RAD = math.radians(10.0)
+_COSINES = np.array([math.cos(turn * _TURN_RAD) for turn in range(_TURNS + 1)])
+_SINES = np.array([math.sin(turn * _TURN_RAD) for turn in range(_TURNS + 1)])
 _SAME_SIDE = 0.1
 
 
@@ -65,19 +69,19 @@ def limit_by_obstacles(ego: FloatArray, memory: FloatArray, parameters: FloatArr
     stop = parameters[FLOCK_STOP]
     ahead = stop + parameters[FLOCK_SCAN_DELAY]
     speed = math.sqrt(ego[EGO_V] * ego[EGO_V] + ego[EGO_V + 1] * ego[EGO_V + 1])
+    cos_yaw, sin_yaw = math.cos(ego[EGO_YAW]), math.sin(ego[EGO_YAW])
     count = 0
     for column in range(AZIMUTHS):
         distance = memory[FLOCK_COLUMNS + column]
         if not rate * (distance - room - ahead * speed) < fastest:
             continue
-        angle = direction_of(column, AZIMUTHS)
-        nx, ny = math.cos(angle), math.sin(angle)
+        nx, ny = direction_of(column)
         bound = rate * (distance - room - ahead * (nx * ego[EGO_V] + ny * ego[EGO_V + 1]))
         if bound < fastest:
             x, y = distance * nx - ahead * ego[EGO_V], distance * ny - ahead * ego[EGO_V + 1]
             count = _limit(count, nx, ny, max(bound, -_RETREAT_MPS), x, y, memory)
     for point in range(FLOCK_POINT_COUNT):
-        x, y, distance = recall_obstacle(point, ego, memory, parameters)
+        x, y, distance = recall_obstacle(point, ego, cos_yaw, sin_yaw, memory, parameters)
         if distance < _SAME_PLACE_M or not rate * (distance - room - stop * speed) < fastest:
             continue
         nx, ny = x / distance, y / distance
@@ -160,7 +164,7 @@ def take_detour(
     best = straight * (1.0 + worth)
     for turn in range(1, _TURNS + 1):
         for side in (1.0, -1.0):
-            cosine, sine = math.cos(turn * _TURN_RAD), side * math.sin(turn * _TURN_RAD)
+            cosine, sine = _COSINES[turn], side * _SINES[turn]
             dx, dy = cosine * ux - sine * uy, sine * ux + cosine * uy
             value = cosine + worth
             if side == favoured:

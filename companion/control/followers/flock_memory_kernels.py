@@ -146,9 +146,9 @@ def remember_obstacles(ego: FloatArray, memory: FloatArray, parameters: FloatArr
         distance = memory[FLOCK_COLUMNS + column]
         if not distance < _REMEMBERED_WITHIN_M:
             continue
-        angle = direction_of(column, AZIMUTHS)
-        x = distance * math.cos(angle) - delay * ego[EGO_V]
-        y = distance * math.sin(angle) - delay * ego[EGO_V + 1]
+        cosine, sine = direction_of(column)
+        x = distance * cosine - delay * ego[EGO_V]
+        y = distance * sine - delay * ego[EGO_V + 1]
         px = ego[EGO_P] + cos_yaw * x - sin_yaw * y
         py = ego[EGO_P + 1] + sin_yaw * x + cos_yaw * y
         pz = ego[EGO_P + 2]
@@ -169,7 +169,7 @@ def remember_obstacles(ego: FloatArray, memory: FloatArray, parameters: FloatArr
 
 @portable_inlined
 def recall_obstacle(
-    point: int, ego: FloatArray, memory: FloatArray, parameters: FloatArray
+    point: int, ego: FloatArray, cos_yaw: float, sin_yaw: float, memory: FloatArray, parameters: FloatArray
 ) -> tuple[float, float, float]:
     """Return where a remembered obstacle is: horizontal position in the heading frame, and distance.
 
@@ -179,7 +179,6 @@ def recall_obstacle(
     rise = ego[EGO_P + 2] - memory[at + 3]
     if memory[at] <= 0.0 or rise > parameters[FLOCK_BAND_ABOVE] or rise < -parameters[FLOCK_BAND_BELOW]:
         return 0.0, 0.0, math.inf
-    cos_yaw, sin_yaw = math.cos(ego[EGO_YAW]), math.sin(ego[EGO_YAW])
     dx, dy = memory[at + 1] - ego[EGO_P], memory[at + 2] - ego[EGO_P + 1]
     return (
         cos_yaw * dx + sin_yaw * dy,

@@ -57,17 +57,16 @@ def steer(
         command: (3,) receives the velocity in the heading frame, m/s; always finite. Where an input is not
             a number it is zero.
     """
+    if method == _FLOCK:
+        steer_flock(ego, neighbours, ranges, memory, parameters, command, is_new_grid=True)
+        return
+    if not (_is_sound(ego, neighbours) and _is_sound_grid(ranges)):
+        _stop(memory, command)
+        return
     command[0] = 0.0
     command[1] = 0.0
     command[2] = 0.0
-    if not _is_sound(ego, neighbours, ranges):
-        memory[PREVIOUS] = 0.0
-        memory[PREVIOUS + 1] = 0.0
-        memory[PREVIOUS + 2] = 0.0
-        return
-    if method == _FLOCK:
-        flock(ego, neighbours, ranges, memory, parameters, command)
-    elif method == _PACNAV:
+    if method == _PACNAV:
         pacnav(ego, neighbours, ranges, memory, parameters, command)
     elif method == _VPF:
         visual_field(ego, neighbours, ranges, memory, parameters, command)
@@ -83,8 +82,48 @@ def steer(
 
 
 @portable_inlined
-def _is_sound(ego: FloatArray, neighbours: FloatArray, ranges: FloatArray) -> bool:
-    """Return whether every input can be reckoned with."""
+def steer_flock(
+    ego: FloatArray,
+    neighbours: FloatArray,
+    ranges: FloatArray,
+    memory: FloatArray,
+    parameters: FloatArray,
+    command: FloatArray,
+    is_new_grid: bool,
+) -> None:
+    """Choose a velocity as `steer` does with `flock`.
+
+    Args:
+        ego: as for `steer`.
+        neighbours: likewise.
+        ranges: likewise.
+        memory: likewise.
+        parameters: likewise.
+        command: likewise.
+        is_new_grid: False only if `ranges` was sound in the call before, with this memory, and has not
+            changed since; it is not looked at again then.
+    """
+    if not (_is_sound(ego, neighbours) and (not is_new_grid or _is_sound_grid(ranges))):
+        _stop(memory, command)
+        return
+    command[0] = 0.0
+    command[1] = 0.0
+    command[2] = 0.0
+    flock(ego, neighbours, ranges, memory, parameters, command, is_new_grid)
+    _finish(ego, memory, parameters, command)
+
+
+@portable_inlined
+def _stop(memory: FloatArray, command: FloatArray) -> None:
+    """Ask for zero velocity, and remember that."""
+    for axis in range(3):
+        command[axis] = 0.0
+        memory[PREVIOUS + axis] = 0.0
+
+
+@portable_inlined
+def _is_sound(ego: FloatArray, neighbours: FloatArray) -> bool:
+    """Return whether everything but the grid can be reckoned with."""
     for index in range(EGO_ALONE):
         if not math.isfinite(ego[index]):
             return False
@@ -94,12 +133,18 @@ def _is_sound(ego: FloatArray, neighbours: FloatArray, ranges: FloatArray) -> bo
         for index in range(neighbours.shape[1]):
             if not math.isfinite(neighbours[row, index]):
                 return False
+    return True
+
+
+@portable_inlined
+def _is_sound_grid(ranges: FloatArray) -> bool:
+    """Return whether the grid can be reckoned with."""
+    unsound = 0
     for column in range(ranges.shape[0]):
         for row in range(ranges.shape[1]):
-            # False for what is not a number, too.
-            if not ranges[column, row] >= 0.0:
-                return False
-    return True
+            # Unsound is what is not a number, too; counting leaves the loop without a way out in between.
+            unsound += 0 if ranges[column, row] >= 0.0 else 1
+    return unsound == 0
 
 
 @portable_inlined
@@ -163,7 +208,7 @@ def _remember(ego: FloatArray, memory: FloatArray, command: FloatArray) -> None:
 @portable("boolean(float64[::1], float64[:,::1], float64[:,::1])")
 def is_sound(ego: FloatArray, neighbours: FloatArray, ranges: FloatArray) -> bool:
     """Return whether `steer` can reckon with its inputs; if not it asks for zero velocity."""
-    return _is_sound(ego, neighbours, ranges)
+    return _is_sound(ego, neighbours) and _is_sound_grid(ranges)
 
 
 @portable("void(float64[::1], float64[::1], float64[::1], float64[::1])")

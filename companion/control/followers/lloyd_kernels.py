@@ -120,8 +120,8 @@ def _reach(
         room = max(distance - parameters[LLOYD_OBSTACLE_ROOM], 0.0)
         if not room < reach:
             continue
-        angle = direction_of(column, AZIMUTHS)
-        along = math.cos(angle) * cos_ray + math.sin(angle) * sin_ray
+        cosine, sine = direction_of(column)
+        along = cosine * cos_ray + sine * sin_ray
         if along > 0.0:
             reach = min(reach, room / along)
     return reach
@@ -173,6 +173,6 @@ def _retreat(neighbours: FloatArray, memory: FloatArray, parameters: FloatArray,
             nearest = column
     missing = max(parameters[LLOYD_OBSTACLE_ROOM] - memory[PLAIN_COLUMNS + nearest], 0.0)
     if missing > 0.0:
-        angle = direction_of(nearest, AZIMUTHS)
-        wish[0] -= rate * missing * math.cos(angle)
-        wish[1] -= rate * missing * math.sin(angle)
+        cosine, sine = direction_of(nearest)
+        wish[0] -= rate * missing * cosine
+        wish[1] -= rate * missing * sine

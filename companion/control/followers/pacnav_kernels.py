@@ -167,8 +167,8 @@ def _keep_clear(ego: FloatArray, memory: FloatArray, parameters: FloatArray, wis
     while column < AZIMUTHS:
         distance = memory[PACNAV_COLUMNS + column]
         if distance < reach + radius:
-            angle = direction_of(column, AZIMUTHS)
-            x, y = distance * math.cos(angle), distance * math.sin(angle)
+            cosine, sine = direction_of(column)
+            x, y = distance * cosine, distance * sine
             fx, fy = _force(x, y, parameters[PACNAV_OBSTACLE], reach, vx, vy, parameters)
             count, sum_x, sum_y = count + 1, sum_x + fx, sum_y + fy
             column += _COLUMNS_PER_OBSTACLE

@@ -95,6 +95,6 @@ def _avoid(ranges: FloatArray, memory: FloatArray, parameters: FloatArray, wish:
             continue
         size = parameters[REYNOLDS_OBSTACLE] * (1.0 / gap - 1.0 / reach) / (gap * gap)
         size = min(size, parameters[MAX_SPEED])
-        angle = direction_of(nearest, AZIMUTHS)
-        wish[0] -= size * math.cos(angle)
-        wish[1] -= size * math.sin(angle)
+        cosine, sine = direction_of(nearest)
+        wish[0] -= size * cosine
+        wish[1] -= size * sine

@@ -2,9 +2,13 @@
 
 import math
 
+import numpy as np
+
 from companion.compiled import portable_inlined
 from companion.control.followers.layout_kernels import (
+    AZIMUTHS,
     EGO_HEIGHT,
+    ELEVATIONS,
     HEIGHT_GAIN,
     HEIGHT_SPEED,
     HIGHEST_ELEVATION_DEG,
@@ -15,6 +19,13 @@ from companion.control.followers.layout_kernels import (
 )
 from companion.messages import FloatArray
 
+_LOW = math.radians(LOWEST_ELEVATION_DEG)
+_HEIGHT = math.radians(HIGHEST_ELEVATION_DEG - LOWEST_ELEVATION_DEG) / ELEVATIONS
+_SINES = np.array([math.sin(_LOW + row * _HEIGHT) for row in range(ELEVATIONS + 1)])
+_COSINES = np.array([math.cos(_LOW + (row + 0.5) * _HEIGHT) for row in range(ELEVATIONS)])
+_ANGLES = [(column + 0.5) * 2.0 * math.pi / AZIMUTHS for column in range(AZIMUTHS)]
+_DIRECTIONS = np.array([(math.cos(angle), math.sin(angle)) for angle in _ANGLES])
+
 
 @portable_inlined
 def find_columns(ranges: FloatArray, below: float, above: float, columns: FloatArray, first: int) -> None:
@@ -23,25 +34,19 @@ def find_columns(ranges: FloatArray, below: float, above: float, columns: FloatA
     A cell belongs to the band if any of it does: its return may be anywhere in the cell.
 
     Args:
-        ranges: (azimuths, elevations) m, infinity where free.
+        ranges: (72, 12) m, infinity where free.
         below: depth of the band under the own height, m.
         above: its height over it, m.
         columns: receives the distances, infinity where nothing is.
         first: where in `columns` they begin.
     """
-    azimuths, elevations = ranges.shape
-    for column in range(azimuths):
-        columns[first + column] = math.inf
-    low = math.radians(LOWEST_ELEVATION_DEG)
-    step = math.radians(HIGHEST_ELEVATION_DEG - LOWEST_ELEVATION_DEG) / elevations
-    for row in range(elevations):
-        lower = math.sin(low + row * step)
-        upper = math.sin(low + (row + 1) * step)
-        flat = math.cos(low + (row + 0.5) * step)
-        for column in range(azimuths):
+    for column in range(AZIMUTHS):
+        nearest = math.inf
+        for row in range(ELEVATIONS):
             reach = ranges[column, row]
-            if reach < math.inf and reach * lower <= above and reach * upper >= -below:
-                columns[first + column] = min(columns[first + column], reach * flat)
+            if reach < math.inf and reach * _SINES[row] <= above and reach * _SINES[row + 1] >= -below:
+                nearest = min(nearest, reach * _COSINES[row])
+        columns[first + column] = nearest
 
 
 @portable_inlined
@@ -49,31 +54,27 @@ def find_columns_up_to(ranges: FloatArray, highest: float, columns: FloatArray, 
     """Find the nearest horizontal distance in each direction, in the cells centred up to an elevation.
 
     Args:
-        ranges: (azimuths, elevations) m, infinity where free.
+        ranges: (72, 12) m, infinity where free.
         highest: elevation, rad.
         columns: receives the distances, infinity where nothing is.
         first: where in `columns` they begin.
     """
-    azimuths, elevations = ranges.shape
-    for column in range(azimuths):
-        columns[first + column] = math.inf
-    low = math.radians(LOWEST_ELEVATION_DEG)
-    step = math.radians(HIGHEST_ELEVATION_DEG - LOWEST_ELEVATION_DEG) / elevations
-    for row in range(elevations):
-        centre = low + (row + 0.5) * step
-        if centre > highest:
-            break
-        flat = math.cos(centre)
-        for column in range(azimuths):
+    rows = 0
+    while rows < ELEVATIONS and _LOW + (rows + 0.5) * _HEIGHT <= highest:
+        rows += 1
+    for column in range(AZIMUTHS):
+        nearest = math.inf
+        for row in range(rows):
             reach = ranges[column, row]
             if reach < math.inf:
-                columns[first + column] = min(columns[first + column], reach * flat)
+                nearest = min(nearest, reach * _COSINES[row])
+        columns[first + column] = nearest
 
 
 @portable_inlined
-def direction_of(column: int, azimuths: int) -> float:
-    """Return the angle of a column's centre to the left of straight ahead, rad."""
-    return (column + 0.5) * 2.0 * math.pi / azimuths
+def direction_of(column: int) -> tuple[float, float]:
+    """Return cosine and sine of the angle of a column's centre to the left of straight ahead."""
+    return _DIRECTIONS[column, 0], _DIRECTIONS[column, 1]
 
 
 @portable_inlined

@@ -30,7 +30,7 @@ class PointMass:
         self._age[:] = self._random.integers(0, _EPISODE, self._streams)
         return self._seen()
 
-    def step(self, velocity: NDArray[np.float32]) -> StepResult:
+    def step(self, velocity: NDArray[np.float32], *, is_shown: bool = True) -> StepResult:
         result = self._result
         self._away -= _STEP_S * np.clip(velocity[:, :2].astype(float), -2.0, 2.0)
         self._age += 1

@@ -113,6 +113,19 @@ def _same(first: list[list[np.ndarray]], second: list[list[np.ndarray]]) -> bool
     )
 
 
+def test_what_is_shown_and_paid_does_not_depend_on_steps_that_nobody_looks_at() -> None:
+    batch = mixed_batch(1, 1, episode_s=1.0, stagger_s=1.0)
+    off = np.random.default_rng(3).normal(0.0, 0.5, (60, batch.streams, 3)).astype(np.float32)
+    batch.reset()
+    looked = [copied(batch.step(batch.observation.reference + change)) for change in off]
+    batch.reset()
+    for step, change in enumerate(off):
+        is_shown = step % 3 == 2
+        seen = copied(batch.step(batch.observation.reference + change, is_shown=is_shown))
+        from_here = 0 if is_shown else 5  # the reference, and all that is paid
+        assert _same([looked[step][from_here:]], [seen[from_here:]])
+
+
 def test_results_depend_on_the_seed_and_not_on_the_number_of_threads() -> None:
     changes: dict[str, Any] = {
         "randomisation": WIDE,
