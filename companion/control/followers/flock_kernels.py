@@ -5,7 +5,8 @@
    lead, and the others come along by themselves.
 3. Separation, and stepping aside from whoever is about to pass too near.
 4. A gentle flow round obstacles.
-5. Where an obstacle is in the way the wish turns to where it can be flown fastest.
+5. Where an obstacle is in the way the wish turns to where it can be flown fastest; what is then left aside
+   does not slow down.
 6. What remains is projected onto half-planes of the velocities that obstacles and neighbours allow.
 """
 
@@ -17,6 +18,7 @@ from companion.control.followers.flock_limit_kernels import (
     limit_by_obstacles,
     project,
     take_detour,
+    turn_past_obstacles,
 )
 from companion.control.followers.flock_memory_kernels import (
     recall_neighbours,
@@ -38,6 +40,7 @@ from companion.control.followers.layout_kernels import (
     FLOCK_COHESION,
     FLOCK_COLUMNS,
     FLOCK_DODGE,
+    FLOCK_DODGE_CAUGHT,
     FLOCK_DODGE_FULL,
     FLOCK_DODGE_ROOM,
     FLOCK_DODGE_TIME,
@@ -100,6 +103,7 @@ def flock(
     count = limit_by_obstacles(ego, memory, parameters)
     _limit_speed(parameters, wish)
     take_detour(ego, count, memory, parameters, wish)
+    turn_past_obstacles(count, memory, parameters, wish)
     count = limit_by_neighbours(ego, known, count, memory, parameters)
     project(count, memory, wish)
     _remember_wish(ego, memory, wish)
@@ -198,8 +202,8 @@ def _step_aside(
 ) -> tuple[float, float]:
     """Return a velocity away from where a neighbour will pass, if it will soon pass too near.
 
-    Those who come fast and by themselves are given way to. Whoever is only caught up with is not: in a large
-    swarm everybody catches up with somebody all the time, and it would fly apart.
+    Those who come fast and by themselves are given way to. Whoever is only caught up with is given way to
+    less: in a large swarm everybody catches up with somebody all the time, and it would fly apart.
 
     Args:
         x: position of the neighbour relative to the own, m.
@@ -230,7 +234,7 @@ def _step_aside(
         ex, ey = -wy / speed, wx / speed
     strength = parameters[FLOCK_DODGE] * (1.0 - miss / room) * (1.0 - soon / longest)
     strength *= min(speed / parameters[FLOCK_DODGE_FULL], 1.0) ** 2
-    strength *= min(max(-(x * vx + y * vy) / closing, 0.0), 1.0)
+    strength *= min(max(-(x * vx + y * vy) / closing, parameters[FLOCK_DODGE_CAUGHT]), 1.0)
     return -strength * ex, -strength * ey
 
 

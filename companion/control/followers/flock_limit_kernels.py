@@ -2,7 +2,7 @@
 
 Towards an obstacle at distance d, v.n <= a (d - margin); towards a neighbour the same, plus the velocity at
 which it flies away, or less a share of that at which it comes. Distances are those that will be left once a
-new command takes effect.
+new command takes effect. What will be left aside with enough clearance does not slow down, however near.
 """
 
 import math
@@ -18,15 +18,17 @@ from companion.control.followers.layout_kernels import (
     FLOCK_BODY_RADIUS,
     FLOCK_COLUMNS,
     FLOCK_DETOUR,
-    FLOCK_LEAD,
     FLOCK_LIMIT_SIZE,
     FLOCK_LIMITS,
     FLOCK_NEIGHBOUR_MARGIN,
     FLOCK_NEIGHBOUR_RATE,
     FLOCK_NEIGHBOUR_SHARE,
+    FLOCK_NEIGHBOUR_STOP,
     FLOCK_OBSTACLE_MARGIN,
     FLOCK_OBSTACLE_RATE,
+    FLOCK_PASS,
     FLOCK_POINT_COUNT,
+    FLOCK_RETREAT,
     FLOCK_SCAN_DELAY,
     FLOCK_STOP,
     FLOCK_VIEW,
@@ -38,7 +40,7 @@ from companion.control.followers.sensing_kernels import direction_of
 from companion.messages import FloatArray
 
 _PASSES = 6
-_FASTEST_RETREAT_MPS = 1.0
+_RETREAT_MPS = 1.0
 _SAME_PLACE_M = 1e-6
 _TURNS = 11
 _TURN_RAD = math.radians(10.0)
@@ -48,12 +50,14 @@ _SAME_SIDE = 0.1
 
 
 @portable_inlined
-def _limit(count: int, nx: float, ny: float, bound: float, memory: FloatArray) -> int:
-    """Append the half-plane v.n <= bound; return how many there are then."""
+def _limit(count: int, nx: float, ny: float, bound: float, x: float, y: float, memory: FloatArray) -> int:
+    """Append the half-plane v.n <= bound of what will be at (x, y); return how many there are then."""
     at = FLOCK_LIMITS + count * FLOCK_LIMIT_SIZE
     memory[at] = nx
     memory[at + 1] = ny
-    memory[at + 2] = max(bound, -_FASTEST_RETREAT_MPS)
+    memory[at + 2] = bound
+    memory[at + 3] = x
+    memory[at + 4] = y
     return count + 1
 
 
@@ -74,7 +78,8 @@ def limit_by_obstacles(ego: FloatArray, memory: FloatArray, parameters: FloatArr
         nx, ny = direction_of(column)
         bound = rate * (distance - room - ahead * (nx * ego[EGO_V] + ny * ego[EGO_V + 1]))
         if bound < fastest:
-            count = _limit(count, nx, ny, bound, memory)
+            x, y = distance * nx - ahead * ego[EGO_V], distance * ny - ahead * ego[EGO_V + 1]
+            count = _limit(count, nx, ny, max(bound, -_RETREAT_MPS), x, y, memory)
     for point in range(FLOCK_POINT_COUNT):
         x, y, distance = recall_obstacle(point, ego, cos_yaw, sin_yaw, memory, parameters)
         if distance < _SAME_PLACE_M or not rate * (distance - room - stop * speed) < fastest:
@@ -82,7 +87,8 @@ def limit_by_obstacles(ego: FloatArray, memory: FloatArray, parameters: FloatArr
         nx, ny = x / distance, y / distance
         bound = rate * (distance - room - stop * (nx * ego[EGO_V] + ny * ego[EGO_V + 1]))
         if bound < fastest:
-            count = _limit(count, nx, ny, bound, memory)
+            x, y = x - stop * ego[EGO_V], y - stop * ego[EGO_V + 1]
+            count = _limit(count, nx, ny, max(bound, -_RETREAT_MPS), x, y, memory)
     return count
 
 
@@ -91,28 +97,44 @@ def limit_by_neighbours(
     ego: FloatArray, known: int, count: int, memory: FloatArray, parameters: FloatArray
 ) -> int:
     """Append the half-planes of all neighbours; return how many there are then."""
-    lead = parameters[FLOCK_LEAD]
+    stop = parameters[FLOCK_NEIGHBOUR_STOP]
     for index in range(known):
         row = FLOCK_VIEW + index * FLOCK_VIEW_SIZE
         x, y, vx, vy = memory[row], memory[row + 1], memory[row + 3], memory[row + 4]
-        x, y = x + lead * (vx - ego[EGO_V]), y + lead * (vy - ego[EGO_V + 1])
+        x, y = x + stop * (vx - ego[EGO_V]), y + stop * (vy - ego[EGO_V + 1])
         distance = max(math.sqrt(x * x + y * y), _SAME_PLACE_M)
         ex, ey = x / distance, y / distance
         bound = parameters[FLOCK_NEIGHBOUR_RATE] * (distance - parameters[FLOCK_NEIGHBOUR_MARGIN])
         away = vx * ex + vy * ey
         bound += away if away > 0.0 else parameters[FLOCK_NEIGHBOUR_SHARE] * away
-        count = _limit(count, ex, ey, bound, memory)
+        count = _limit(count, ex, ey, max(bound, -parameters[FLOCK_RETREAT]), x, y, memory)
     return count
 
 
 @portable_inlined
-def _allowed(dx: float, dy: float, speed: float, count: int, memory: FloatArray) -> float:
-    """Return the speed up to `speed` that the first `count` half-planes allow along a unit vector."""
+def _clearance(parameters: FloatArray) -> float:
+    """Return how far from the own centre an obstacle must be left aside not to slow down, m."""
+    clear: float = parameters[FLOCK_BODY_RADIUS] + parameters[FLOCK_OBSTACLE_MARGIN] + parameters[FLOCK_PASS]
+    return clear
+
+
+@portable_inlined
+def _passes(dx: float, dy: float, at: int, clear: float, memory: FloatArray) -> bool:
+    """Return whether flying along a unit vector leaves the obstacle of a half-plane `clear` aside."""
+    x, y = memory[at + 3], memory[at + 4]
+    along = max(x * dx + y * dy, 0.0)
+    left: bool = (x - along * dx) ** 2 + (y - along * dy) ** 2 >= clear * clear
+    return left
+
+
+@portable_inlined
+def _allowed(dx: float, dy: float, speed: float, count: int, clear: float, memory: FloatArray) -> float:
+    """Return the speed up to `speed` that the first `count` obstacles allow along a unit vector."""
     allowed = speed
     for index in range(count):
         at = FLOCK_LIMITS + index * FLOCK_LIMIT_SIZE
         along = memory[at] * dx + memory[at + 1] * dy
-        if along * allowed > memory[at + 2]:
+        if along * allowed > memory[at + 2] and not _passes(dx, dy, at, clear, memory):
             allowed = max(memory[at + 2], 0.0) / along if along > 0.0 else 0.0
     return allowed
 
@@ -131,7 +153,8 @@ def take_detour(
     if count == 0 or worth <= 0.0 or speed < _SAME_PLACE_M:
         return
     ux, uy = wish[0] / speed, wish[1] / speed
-    straight = _allowed(ux, uy, speed, count, memory)
+    clear = _clearance(parameters)
+    straight = _allowed(ux, uy, speed, count, clear, memory)
     if straight >= speed:
         return
     cos_yaw, sin_yaw = math.cos(ego[EGO_YAW]), math.sin(ego[EGO_YAW])
@@ -148,11 +171,42 @@ def take_detour(
                 value += _SAME_SIDE
             if value * speed <= best:
                 continue
-            allowed = _allowed(dx, dy, speed, count, memory)
+            allowed = _allowed(dx, dy, speed, count, clear, memory)
             if value * allowed > best:
                 best = value * allowed
                 wish[0] = allowed * dx
                 wish[1] = allowed * dy
+
+
+@portable_inlined
+def turn_past_obstacles(count: int, memory: FloatArray, parameters: FloatArray, wish: FloatArray) -> None:
+    """Where the wish leaves an obstacle aside, no longer forbid to come nearer but only to turn towards it.
+
+    The half-plane then ends at the tangent to the circle of the needed clearance about the obstacle, on the
+    side that it is passed on.
+
+    Source: the sides of a velocity obstacle, P. Fiorini and Z. Shiller, "Motion planning in dynamic
+    environments using velocity obstacles", 1998.
+    """
+    speed = math.sqrt(wish[0] * wish[0] + wish[1] * wish[1])
+    if speed < _SAME_PLACE_M:
+        return
+    ux, uy = wish[0] / speed, wish[1] / speed
+    clear = _clearance(parameters)
+    for index in range(count):
+        at = FLOCK_LIMITS + index * FLOCK_LIMIT_SIZE
+        x, y = memory[at + 3], memory[at + 4]
+        distance = math.sqrt(x * x + y * y)
+        if distance <= clear or not _passes(ux, uy, at, clear, memory):
+            continue
+        sine = clear / distance
+        cosine = math.sqrt(1.0 - sine * sine)
+        if x * uy < y * ux:
+            cosine = -cosine
+        ex, ey = x / distance, y / distance
+        memory[at] = sine * ex + cosine * ey
+        memory[at + 1] = sine * ey - cosine * ex
+        memory[at + 2] = max(sine * memory[at + 2], 0.0)
 
 
 @portable_inlined

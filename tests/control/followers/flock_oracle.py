@@ -39,6 +39,20 @@ class Seen:
     trust: float
 
 
+@dataclass
+class Plane:
+    """v.n <= bound, because of what will be at `r` when a command takes effect, heading frame."""
+
+    n: FloatArray
+    bound: float
+    r: FloatArray
+
+    def is_passed(self, direction: FloatArray, clear: float) -> bool:
+        """Whether nothing of it comes within `clear` of a straight flight that goes on for ever."""
+        nearest = max(float(self.r @ direction), 0.0) * direction
+        return float(np.linalg.norm(self.r - nearest)) >= clear
+
+
 class Flock:
     """Write the wish (3,) of one vehicle, step by step."""
 
@@ -59,10 +73,10 @@ class Flock:
         v = clipped(v, self.command.max_speed_mps)
         planes = self._obstacle_planes(ego, columns)
         v = self._detour(ego, planes, v)
-        planes += self._neighbour_planes(ego, seen)
+        planes = [self._turned_aside(plane, v) for plane in planes] + self._neighbour_planes(ego, seen)
         for _ in range(6):
-            for n, bound in reversed(planes):
-                v = v - max(float(v @ n) - max(bound, -1.0), 0.0) * n
+            for plane in reversed(planes):
+                v = v - max(float(v @ plane.n) - plane.bound, 0.0) * plane.n
         self.wish_map = turned(v, ego[6])
         return np.append(v, rise)
 
@@ -157,7 +171,7 @@ class Flock:
             return np.zeros(2)
         side = miss / size if size > 0.05 else np.array([-w[1], w[0]]) / np.linalg.norm(w)
         fast = min(float(np.linalg.norm(w)) / g.dodge_full_mps, 1.0) ** 2
-        comes = float(np.clip((r @ v) / (r @ w), 0.0, 1.0))
+        comes = float(np.clip((r @ v) / (r @ w), g.dodge_caught, 1.0))
         return (
             -g.dodge_mps * fast * comes * (1.0 - size / g.dodge_room_m) * (1.0 - soon / g.dodge_time_s) * side
         )
@@ -187,11 +201,10 @@ class Flock:
                 total -= g.flow_m2ps * (1.0 / room - 1.0 / g.flow_reach_m) / _FLOW_COLUMNS * n
         return total
 
-    def _obstacle_planes(self, ego: FloatArray, columns: FloatArray) -> list[tuple[FloatArray, float]]:
+    def _obstacle_planes(self, ego: FloatArray, columns: FloatArray) -> list[Plane]:
         g = self.g
-        room = g.obstacle_margin_m + g.body_radius_m
         found = [
-            (n, d - room - (g.stop_s + g.scan_delay_s) * (n @ ego[3:5]))
+            (n, float(d), g.stop_s + g.scan_delay_s)
             for n, d in zip(directions(), columns, strict=True)
             if np.isfinite(d)
         ]
@@ -200,33 +213,50 @@ class Flock:
             r = turned(p[:2] - ego[:2], -ego[6])
             d = float(np.linalg.norm(r))
             if left > 0.0 and d > 1e-6 and -g.band_below_m <= rise <= g.band_above_m:
-                found.append((r / d, d - room - g.stop_s * (r / d @ ego[3:5])))
-        planes = [(n, g.obstacle_per_s * float(gap)) for n, gap in found]
-        return [(n, bound) for n, bound in planes if bound < self.command.max_speed_mps]
+                found.append((r / d, d, g.stop_s))
+        planes = []
+        for n, d, ahead in found:
+            gap = d - g.obstacle_margin_m - g.body_radius_m - ahead * float(n @ ego[3:5])
+            if g.obstacle_per_s * gap < self.command.max_speed_mps:
+                planes.append(Plane(n, max(g.obstacle_per_s * gap, -1.0), d * n - ahead * ego[3:5]))
+        return planes
 
-    def _neighbour_planes(self, ego: FloatArray, seen: list[Seen]) -> list[tuple[FloatArray, float]]:
+    def _neighbour_planes(self, ego: FloatArray, seen: list[Seen]) -> list[Plane]:
         g = self.g
-        planes: list[tuple[FloatArray, float]] = []
+        planes = []
         for other in seen:
-            r = other.r + g.lead_s * (other.v - ego[3:5])
+            r = other.r + g.neighbour_stop_s * (other.v - ego[3:5])
             d = float(np.linalg.norm(r))
             away = float(other.v @ r) / d
             bound = g.neighbour_per_s * (d - g.neighbour_margin_m)
             bound += away if away > 0.0 else g.neighbour_share * away
-            planes.append((r / d, float(bound)))
+            planes.append(Plane(r / d, max(float(bound), -g.retreat_mps), r))
         return planes
 
-    def _detour(self, ego: FloatArray, planes: list[tuple[FloatArray, float]], v: FloatArray) -> FloatArray:
+    @property
+    def _clear(self) -> float:
+        return self.g.body_radius_m + self.g.obstacle_margin_m + self.g.pass_m
+
+    def _turned_aside(self, plane: Plane, v: FloatArray) -> Plane:
+        speed, d = float(np.linalg.norm(v)), float(np.linalg.norm(plane.r))
+        if speed < 1e-6 or d <= self._clear or not plane.is_passed(v / speed, self._clear):
+            return plane
+        side = 1.0 if plane.r[0] * v[1] >= plane.r[1] * v[0] else -1.0
+        tangent = turned(plane.r / d, side * np.arcsin(self._clear / d))
+        inward = turned(tangent, -side * np.pi / 2.0)
+        return Plane(inward, max(plane.bound * self._clear / d, 0.0), plane.r)
+
+    def _detour(self, ego: FloatArray, planes: list[Plane], v: FloatArray) -> FloatArray:
         speed = float(np.linalg.norm(v))
         if not planes or self.g.detour <= 0.0 or speed < 1e-6:
             return v
 
         def allowed(direction: FloatArray) -> float:
             result = speed
-            for n, bound in planes:
-                along = float(n @ direction)
-                if along * result > max(bound, -1.0):
-                    result = max(bound, 0.0) / along if along > 0.0 else 0.0
+            for plane in planes:
+                along = float(plane.n @ direction)
+                if along * result > plane.bound and not plane.is_passed(direction, self._clear):
+                    result = max(plane.bound, 0.0) / along if along > 0.0 else 0.0
             return result
 
         u = v / speed

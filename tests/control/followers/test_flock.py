@@ -81,16 +81,32 @@ def test_two_that_meet_head_on_pass_on_the_same_hand() -> None:
     assert w == pytest.approx(v)
 
 
-def test_it_never_flies_at_an_obstacle_faster_than_the_room_allows() -> None:
+def test_it_never_flies_at_an_obstacle_faster_than_the_room_allows_unless_it_leaves_it_aside() -> None:
     g = FollowerSettings().flock
     rng = np.random.default_rng(5)
+    left_aside = 0
     for _ in range(200):
         distance, azimuth = rng.uniform(0.5, 2.0), 5.0 * rng.integers(0, 72) + 2.5
         flock = others((4.0, rng.uniform(-3.0, 3.0), 0.0, 1.5, 0.0, 0.0))
         v = Follower("flock").settle(own(), flock, column(free(), azimuth, distance))
         n = np.array([np.cos(np.radians(azimuth)), np.sin(np.radians(azimuth))])
         bound = g.obstacle_per_s * (distance - g.obstacle_margin_m - g.body_radius_m)
-        assert v[:2] @ n <= max(bound, -1.0) + 1e-6
+        if v[:2] @ n > max(bound, -1.0) + 1e-6:
+            aside = distance * abs(n[0] * v[1] - n[1] * v[0]) / np.linalg.norm(v[:2])
+            assert aside >= g.body_radius_m + g.obstacle_margin_m + g.pass_m - 1e-6
+            left_aside += 1
+    assert left_aside > 0
+
+
+def test_a_pillar_beside_the_way_does_not_slow_it_down() -> None:
+    flock = others((4.0, 0.0, 0.0, 1.5, 0.0, 0.0))
+    free_way = Follower("flock").settle(own(v=(1.2, 0.0, 0.0)), flock)
+    beside = column(free(), 37.5, 1.15)
+    gains = {"flow_m2ps": 0.0, "pass_m": 0.05, "obstacle_margin_m": 0.15}
+    passing = Follower("flock", with_gains(FollowerSettings(), "flock", gains))
+    braking = Follower("flock", with_gains(FollowerSettings(), "flock", {**gains, "pass_m": 2.0}))
+    assert passing.settle(own(v=(1.2, 0.0, 0.0)), flock, beside)[0] > 0.95 * free_way[0]
+    assert braking.settle(own(v=(1.2, 0.0, 0.0)), flock, beside)[0] < 0.9 * free_way[0]
 
 
 def test_a_fast_vehicle_brakes_earlier_than_a_slow_one() -> None:
@@ -124,7 +140,7 @@ def test_obstacles_count_only_near_the_own_height() -> None:
 
 
 def test_an_obstacle_that_leaves_the_view_is_remembered_for_a_while_and_then_forgotten() -> None:
-    settings = with_gains(FollowerSettings(), "flock", {"obstacle_memory_s": 2.0})
+    settings = with_gains(FollowerSettings(), "flock", {"obstacle_memory_s": 2.0, "detour": 0.0})
     follower = Follower("flock", settings)
     flock = others((4.0, 0.0, 0.0))
     follower.settle(own(), flock, column(column(free(), 0.0, 0.6), -5.0, 0.6))
