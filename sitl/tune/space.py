@@ -28,7 +28,7 @@ OBSTACLE_GAIN = {
 }
 """The one gain that is chosen between pillars, for nothing in free space depends on it."""
 _WITHOUT_EFFECT_IN_FREE_SPACE = {
-    "pacnav": frozenset({"obstacle_mps"}),
+    "pacnav": frozenset({"obstacle_mps", "obstacle_reach_m"}),
     "vpf": frozenset({"obstacle_mps", "obstacle_reach_m"}),
     "vpf_polar": frozenset({"obstacle", "obstacle_reach_m"}),
     "reynolds_apf": frozenset({"obstacle_m3ps", "obstacle_reach_m"}),
@@ -81,10 +81,10 @@ def axes_of(method: str) -> tuple[Axis, ...]:
 
 
 def obstacle_values(method: str, settings: FollowerSettings, count: int) -> list[float]:
-    """Return values to try for the gain against obstacles, a quarter to four times what is set."""
+    """Return values to try for the gain against obstacles, a sixteenth to sixteen times what is set."""
     axis = _axis(method, OBSTACLE_GAIN[method])
     now = float(getattr(getattr(settings, method), axis.name))
-    factors = [4.0 ** (2.0 * index / (count - 1) - 1.0) for index in range(count)]
+    factors = [16.0 ** (2.0 * index / (count - 1) - 1.0) for index in range(count)]
     return list(dict.fromkeys(rounded(min(max(now * factor, axis.low), axis.high)) for factor in factors))
 
 

@@ -58,7 +58,7 @@ def tune(
     """Tune the gains of a law on training scenes.
 
     The laws of others are tuned in free space to a flock radius and a separation, and then their one gain
-    against obstacles between sparse pillars. `flock` is tuned to succeed where it is hard.
+    against obstacles between pillars. `flock` is tuned to succeed where it is hard.
 
     Args:
         method: the law.
@@ -78,9 +78,7 @@ def tune(
     """
     aim = target_of(method, target)
     if cases and method != "flock":
-        raise ProfileError(
-            f"cases are for flock; {method} is tuned in free space, then between sparse pillars"
-        )
+        raise ProfileError(f"cases are for flock; {method} is tuned in free space, then between pillars")
     exam = flock_exam(aim, scenes, cases or HARD_CASES) if method == "flock" else free_space_exam(aim, scenes)
     examiner = Examiner(method, seed, execute)
     found = search(examiner, exam, method, budget=budget, seed=seed, journal=journal, on_progress=on_progress)

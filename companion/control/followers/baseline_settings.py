@@ -17,7 +17,7 @@ class PacnavSettings(Settings):
     force_mps: float = Field(default=1.0, ge=0.0, le=10.0)
     """Strength of the collision forces between vehicles."""
     force_reach_m: float = Field(default=1.1, gt=0.1, le=10.0)
-    """Beyond this gap there is no force."""
+    """Beyond this gap, and one more `body_radius_m`, there is no force between vehicles."""
     max_speed_mps: float = Field(default=1.7, gt=0.0, le=8.0)
     """Largest speed of this law; it must exceed the leader's."""
     hold_s: float = Field(default=1.0, ge=0.0, le=10.0)
@@ -32,6 +32,9 @@ class PacnavSettings(Settings):
     """Nobody is followed before paths have been watched for so long."""
     obstacle_mps: float = Field(default=1.5, ge=0.0, le=10.0)
     """Strength of the forces that keep clear of obstacles."""
+    obstacle_reach_m: float = Field(default=2.1, gt=0.1, le=10.0)
+    """Beyond this gap there is no such force. As published it begins 2.5 m from the vehicle's centre: small
+    flocks need a smaller `force_reach_m`, but do not make obstacles less dangerous."""
 
 
 class VpfSettings(Settings):

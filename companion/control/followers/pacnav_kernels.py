@@ -23,6 +23,7 @@ from companion.control.followers.layout_kernels import (
     PACNAV_MAX_SPEED,
     PACNAV_NAVIGATION,
     PACNAV_OBSTACLE,
+    PACNAV_OBSTACLE_REACH,
     PACNAV_PATH_COUNT,
     PACNAV_SETTLE,
     PACNAV_TARGET,
@@ -161,7 +162,8 @@ def _keep_clear(ego: FloatArray, memory: FloatArray, parameters: FloatArray, wis
     cos_yaw, sin_yaw = math.cos(ego[EGO_YAW]), math.sin(ego[EGO_YAW])
     vx = cos_yaw * memory[PREVIOUS] + sin_yaw * memory[PREVIOUS + 1]
     vy = cos_yaw * memory[PREVIOUS + 1] - sin_yaw * memory[PREVIOUS]
-    reach, radius = parameters[PACNAV_FORCE_REACH], parameters[PACNAV_BODY_RADIUS]
+    radius = parameters[PACNAV_BODY_RADIUS]
+    reach = parameters[PACNAV_OBSTACLE_REACH]
     count, sum_x, sum_y = 0, 0.0, 0.0
     column = 0
     while column < AZIMUTHS:
@@ -177,14 +179,15 @@ def _keep_clear(ego: FloatArray, memory: FloatArray, parameters: FloatArray, wis
     if count > 0:
         wish[0] += sum_x / count
         wish[1] += sum_y / count
+    reach = parameters[PACNAV_FORCE_REACH] + radius
     count, sum_x, sum_y = 0, 0.0, 0.0
     for path in range(PACNAV_PATH_COUNT):
         if not is_near(memory, path, parameters):
             continue
         x, y = _relative(ego, memory, path)
-        if max(math.hypot(x, y) - radius, _LEAST_GAP_M) > reach + radius:
+        if max(math.hypot(x, y) - radius, _LEAST_GAP_M) > reach:
             continue
-        fx, fy = _force(x, y, parameters[PACNAV_FORCE], reach + radius, vx, vy, parameters)
+        fx, fy = _force(x, y, parameters[PACNAV_FORCE], reach, vx, vy, parameters)
         count, sum_x, sum_y = count + 1, sum_x + fx, sum_y + fy
     if count > 0:
         wish[0] += sum_x / count

@@ -55,9 +55,9 @@ class Pacnav:
         forces = []
         index = 0
         while index < 72:
-            if columns[index] < g.force_reach_m + g.body_radius_m:
+            if columns[index] < g.obstacle_reach_m + g.body_radius_m:
                 o = columns[index] * directions()[index]
-                forces.append(self._force(o, g.obstacle_mps, g.force_reach_m, previous))
+                forces.append(self._force(o, g.obstacle_mps, g.obstacle_reach_m, previous))
                 index += 3
             else:
                 index += 1

@@ -157,7 +157,7 @@ def test_a_target_out_of_sight_is_still_flown_to_for_a_second() -> None:
 def test_collision_forces_turn_from_along_to_away_as_it_gets_near() -> None:
     """Standing, the force is straight away; flying, it is turned towards the flight."""
     follower = Follower("pacnav")
-    gap, reach = 0.5, 1.1
+    gap, reach = 0.5, 2.1
     size = 1.5 * (1.0 / np.sqrt(gap) - 1.0 / np.sqrt(reach))
     v = follower.steer(own(dt=10.0), others(), column(free(), 0.0, gap + 0.4))
     assert v[:2] == pytest.approx(-size * np.array([np.cos(np.radians(2.5)), np.sin(np.radians(2.5))]))
@@ -166,3 +166,10 @@ def test_collision_forces_turn_from_along_to_away_as_it_gets_near() -> None:
     turn = np.arctan2(v[1], v[0]) - np.radians(182.5)
     assert (turn + np.pi) % (2.0 * np.pi) - np.pi == pytest.approx(-0.5 * np.pi * gap / reach)
     assert np.linalg.norm(v[:2]) == pytest.approx(size)
+
+
+def test_obstacles_are_kept_clear_of_from_farther_away_than_neighbours() -> None:
+    follower = watching(settle_s=20.0)
+    assert follower.steer(own(), others((2.3, 0.0, 0.0)))[:2].tolist() == [0.0, 0.0]
+    assert follower.steer(own(), others(), column(free(), 0.0, 2.3))[0] < 0.0
+    assert watching(settle_s=20.0).steer(own(), others(), column(free(), 0.0, 2.6))[:2].tolist() == [0.0, 0.0]
