@@ -32,8 +32,12 @@ def compiled(signature: str) -> Callable[[_Function], _Function]:
 
 
 def inlined(function: _Function) -> _Function:
-    """Mark a small scalar function that kernels call; it is compiled as part of its callers."""
-    return cast(_Function, numba.njit(nogil=True, error_model="numpy", _nrt=True)(function))
+    """Mark a scalar function that kernels call; it is compiled as part of its callers, at every call.
+
+    An array is seven numbers: left alone, the compiler often calls instead, and passes them all each time.
+    """
+    options = {"nogil": True, "error_model": "numpy", "_nrt": True, "forceinline": True}
+    return cast(_Function, numba.njit(**options)(function))
 
 
 def portable(signature: str) -> Callable[[_Function], _Function]:
