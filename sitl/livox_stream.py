@@ -17,6 +17,8 @@ from companion.drivers.livox_packets import (
     DataType,
 )
 from companion.messages import FloatArray
+from sitl.array_layout import laid_out
+from sitl.livox_kernels import write_cartesian
 from sitl.slots import SLOT_PERIOD_NS, SLOTS_PER_PACKET, InertialSlot, PointSlots
 
 TIME_INTERVAL = (SLOTS_PER_PACKET - 1) * SLOT_PERIOD_NS // TIME_INTERVAL_UNIT_NS
@@ -61,12 +63,22 @@ def encode_points(
     header["time_type"] = time_type
     first_slots = slots.first_slot + steps * SLOTS_PER_PACKET
     header["timestamp"] = first_slots * SLOT_PERIOD_NS + clock_error_ns
-    points = packets["points"]
-    _fill(points, slots.points_lidar.reshape(n, SLOTS_PER_PACKET, 3), data_type)
-    points["reflectivity"] = slots.reflectivity.reshape(n, SLOTS_PER_PACKET)
-    points["tag"] = slots.tags.reshape(n, SLOTS_PER_PACKET)
     size = packet_dtype.itemsize
     starts = range(0, n * size, size)
+    if data_type is DataType.CARTESIAN_32:
+        write_cartesian(
+            laid_out(slots.points_lidar),
+            laid_out(slots.reflectivity, np.uint8),
+            laid_out(slots.tags, np.uint8),
+            HEADER_SIZE,
+            LENGTH_UNITS_M[data_type],
+            packets.view(np.uint8).reshape(n, size),
+        )
+    else:
+        points = packets["points"]
+        _fill(points, slots.points_lidar.reshape(n, SLOTS_PER_PACKET, 3), data_type)
+        points["reflectivity"] = slots.reflectivity.reshape(n, SLOTS_PER_PACKET)
+        points["tag"] = slots.tags.reshape(n, SLOTS_PER_PACKET)
     checked = packets.view(np.uint8).data
     header["crc32"] = [zlib.crc32(checked[at + _CHECKED_FROM : at + size]) for at in starts]
     content = packets.tobytes()

@@ -116,6 +116,9 @@ def distance_probability(distance: float, reflectivity: float, at_tenth: float, 
     """
     if reflectivity <= 0.0:
         return 0.0
+    # No root of a number below 1 is smaller than the number: most returns need none.
+    if 0.0 <= exponent <= 1.0 and distance < 0.85 * at_tenth * min(10.0 * reflectivity, 1.0):
+        return 1.0
     limit = at_tenth * math.pow(reflectivity * 10.0, exponent)
     return min(max((1.1 - distance / limit) * 5.0, 0.0), 1.0)
 

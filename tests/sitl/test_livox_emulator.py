@@ -1,12 +1,18 @@
 import struct
-from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
 
 from companion.drivers import livox_protocol as protocol
-from companion.drivers.livox_packets import DataType, decode_points, parse_header, parse_inertial
+from companion.drivers.livox_packets import (
+    HEADER_SIZE,
+    POINT_DTYPES,
+    DataType,
+    decode_points,
+    parse_header,
+    parse_inertial,
+)
 from companion.drivers.livox_protocol import (
     BROADCAST_IP,
     Command,
@@ -18,6 +24,7 @@ from companion.drivers.livox_protocol import (
 )
 from companion.messages import Datagram
 from sitl.livox_emulator import LivoxEmulator, LivoxEmulatorSettings
+from sitl.livox_stream import encode_points
 from sitl.slots import InertialSlot, PointSlots
 from tests.drivers.livox_vectors import COMMANDS
 from tests.sitl.livox_feed import ring_slots, still_sample
@@ -216,6 +223,17 @@ def test_slots_leave_in_packets_of_96_whatever_the_batches(kind: DataType) -> No
     assert not decoded.points_lidar[empty].any()
 
 
+def test_lengths_are_rounded_to_millimetres_and_bounded_by_the_fields() -> None:
+    points = np.random.default_rng(2).normal(0.0, 20.0, (96, 3))
+    points[:3] = [[0.0005, -0.0005, 0.0015], [1e9, -1e9, 0.0], [2147483.647, -2147483.648, -0.0]]
+    slots = PointSlots(96, points, np.arange(96, dtype=np.uint8), np.arange(96, dtype=np.uint8)[::-1].copy())
+    (payload,) = encode_points(slots, DataType.CARTESIAN_32, 0, 0)
+    written = np.frombuffer(payload, POINT_DTYPES[DataType.CARTESIAN_32], offset=HEADER_SIZE)
+    assert np.array_equal(written["xyz"], np.clip(np.rint(points / 0.001), -(2.0**31), 2.0**31 - 1.0))
+    assert np.array_equal(written["reflectivity"], slots.reflectivity)
+    assert np.array_equal(written["tag"], slots.tags)
+
+
 def test_the_packet_counter_runs_freely_through_its_16_bits() -> None:
     emulator = streaming()
     counters = []
@@ -257,7 +275,7 @@ def test_a_power_cycle_loses_the_destination_and_restarts_counters_and_time() ->
     emulator.power_cycle(BOOT_NS + 60 * S)
     search = Datagram(BOOT_NS + 50 * S, (HOST, 1), (LIDAR, 56_000), bytes.fromhex(COMMANDS["search"]))
     assert emulator.receive(search) == emulator.poll(BOOT_NS + 50 * S) == []
-    assert emulator.receive(replace(search, t_ns=BOOT_NS + 60 * S))
+    assert emulator.receive(search._replace(t_ns=BOOT_NS + 60 * S))
     assert emulator.points(ring_slots(0, 960)) == []
     address = StreamAddress(HOST, 56_301).pack()
     write(emulator, (Key.POINT_HOST, address), (Key.WORK_TARGET, b"\x01"), t_ns=BOOT_NS + 60 * S)

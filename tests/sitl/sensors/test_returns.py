@@ -9,6 +9,7 @@ from companion.geometry.pose import Pose
 from companion.messages import FloatArray
 from sitl.kinematics import BodyTrajectory
 from sitl.sensors.mid360 import Mid360Model, Mid360Settings, Observation
+from sitl.sensors.ranging_kernels import distance_probability
 from sitl.sensors.return_kernels import reported_reflectivity, strength_of
 from sitl.sensors.scan_pattern import ScanPattern
 from sitl.worlds.bodies import Bodies, Body
@@ -205,3 +206,14 @@ def test_a_uav_returns_as_many_points_as_beams_meet_it_falling_with_the_square_o
     assert beams == pytest.approx(110.0 / range_m**2, rel=0.25)
     assert expected <= beams < 2.0 * expected
     assert 0.8 * beams < returns <= beams  # grazing ones are lost
+
+
+def test_the_chance_of_detection_needs_no_root_where_it_is_certain() -> None:
+    for reflectivity in (1e-4, 0.01, 0.0999, 0.1, 0.8, 40.0):
+        for exponent in (0.0, 0.269, 1.0, -0.5, 1.5):
+            limit = 40.0 * (10.0 * reflectivity) ** exponent
+            for share in (0.0, 0.5, 0.84, 0.86, 0.91, 1.0, 1.09, 1.2):
+                for distance in (share * limit, share * 40.0 * min(10.0 * reflectivity, 1.0)):
+                    expected = min(max((1.1 - distance / limit) * 5.0, 0.0), 1.0)
+                    found = distance_probability(distance, reflectivity, 40.0, exponent)
+                    assert found == pytest.approx(expected, abs=1e-12)
