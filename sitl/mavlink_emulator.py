@@ -7,7 +7,6 @@ one to the other, as PX4 does with forwarding enabled. Nothing received can rais
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
-from typing import Any
 
 from pydantic import Field
 
@@ -143,10 +142,9 @@ class MavlinkEmulator:
         """Return the datagrams that are due at `t_ns`."""
         self._t_ns = max(self._t_ns, t_ns)
         boot_us = self.boot_us(self._t_ns)
-        prepared: dict[str, tuple[Any, ...] | None] = {}
-        for link in self.links.values():
-            for name in link.schedule.take_due(boot_us):
-                self._send_stream(link, name, prepared)
+        due = [(link, name) for link in self.links.values() for name in link.schedule.take_due(boot_us)]
+        if due:
+            self._send_streams(due)
         if boot_us >= self._next_timesync_us:
             self._next_timesync_us = max(self._next_timesync_us, boot_us - _TIMESYNC_PERIOD_US)
             self._next_timesync_us += _TIMESYNC_PERIOD_US
@@ -163,18 +161,22 @@ class MavlinkEmulator:
         return int((t_ns - self._boot_ns) * (1.0 - self._settings.clock_slow)) // 1000
 
     def _drain(self) -> list[Outgoing]:
-        return [Outgoing(peer, data) for peer, link in self.links.items() for data in link.drain()]
+        return [
+            Outgoing(peer, data) for peer, link in self.links.items() if link.waits for data in link.drain()
+        ]
 
     def _snapshot(self) -> Snapshot:
         return Snapshot(self.autopilot, self.boot_us(self._t_ns), self._ping_sequence)
 
-    def _send_stream(self, link: Link, name: str, prepared: dict[str, tuple[Any, ...] | None]) -> None:
-        if name not in prepared:
-            prepared[name] = BUILDERS[name](self._snapshot())
-            self._ping_sequence += int(name == "PING")
-        values = prepared[name]
-        if values is not None:
-            link.send(name, values)
+    def _send_streams(self, due: list[tuple[Link, str]]) -> None:
+        """Send streams on the links where they are due; each is built once."""
+        snapshot = self._snapshot()
+        built = {name: BUILDERS[name](snapshot) for name in {name: None for _, name in due}}
+        self._ping_sequence += "PING" in built
+        for link, name in due:
+            values = built[name]
+            if values is not None:
+                link.send(name, values)
 
     def _is_for_me(self, frame: Frame) -> bool:
         target_system, target_component = _target(frame)

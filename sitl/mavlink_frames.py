@@ -3,6 +3,7 @@
 import struct
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 from pymavlink.dialects.v20 import development as dialect
@@ -73,19 +74,65 @@ class FrameEncoder:
         return body + _CHECKSUM.pack(_crc(body[1:] + self._extra))
 
 
+class Message:
+    """One decoded message: its fields are its attributes, texts as strings, arrays as lists."""
+
+    def __init__(self, name: str, fields: dict[str, Any]) -> None:
+        self._name = name
+        self.__dict__.update(fields)
+
+    def get_type(self) -> str:
+        """Return the name of its kind."""
+        return self._name
+
+
+class _Layout:
+    """How one kind of message is read."""
+
+    def __init__(self, message_id: int) -> None:
+        kind: Any = dialect.mavlink_map[message_id]
+        self.name: str = kind.msgname
+        self.seed = bytes([kind.crc_extra])
+        self._unpacker: struct.Struct = kind.unpacker
+        self._names: list[str] = list(kind.ordered_fieldnames)
+        self._lengths: list[int] = list(kind.lengths)
+        self._flat = not any(kind.array_lengths)
+
+    def read(self, payload: bytes) -> Message:
+        """Return the message; what was cut off its end is zero."""
+        size = self._unpacker.size
+        values = self._unpacker.unpack(payload[:size].ljust(size, b"\0"))
+        if self._flat:
+            return Message(self.name, dict(zip(self._names, values, strict=True)))
+        fields: dict[str, Any] = {}
+        at = 0
+        for name, length in zip(self._names, self._lengths, strict=True):
+            value = values[at]
+            if isinstance(value, bytes):
+                fields[name] = value.split(b"\0", 1)[0].decode("ascii", "replace")
+            else:
+                fields[name] = value if length == 1 else list(values[at : at + length])
+            at += length
+        return Message(self.name, fields)
+
+
+@lru_cache(maxsize=512)
+def _layout(message_id: int) -> _Layout | None:
+    return _Layout(message_id) if message_id in dialect.mavlink_map else None
+
+
 @dataclass(frozen=True, slots=True)
 class Frame:
     """One frame that passed its checksum.
 
     Attributes:
-        message: the decoded pymavlink message.
         raw: the frame as it arrived.
     """
 
     message_id: int
     system_id: int
     component_id: int
-    message: Any
+    message: Any  # a `Message`, whose attributes are known when it runs only
     raw: bytes
 
 
@@ -103,7 +150,6 @@ class FrameCutter:
         self.garbage_bytes = 0
         self.bad_frames = 0
         self._buffer = bytearray()
-        self._decoder = dialect.MAVLink(None)
 
     def feed(self, data: bytes) -> list[Frame]:
         """Return the frames that `data` completes."""
@@ -136,7 +182,7 @@ class FrameCutter:
                 length += _SIGNATURE_LENGTH
             if len(buffer) - start < length:
                 break
-            frame = self._decode(bytes(buffer[start : start + length]))
+            frame = _decoded(bytes(buffer[start : start + length]))
             if frame is None:
                 self.bad_frames += 1
                 self.garbage_bytes += 1
@@ -148,17 +194,17 @@ class FrameCutter:
         del buffer[:position]
         return frames
 
-    def _decode(self, raw: bytes) -> Frame | None:
-        if raw[2] & ~_SIGNED:
-            return None
-        message_id = raw[7] | raw[8] << 8 | raw[9] << 16
-        if message_id not in dialect.mavlink_map:
-            return None
-        try:
-            message = self._decoder.decode(bytearray(raw))
-        except (dialect.MAVError, struct.error, ValueError, TypeError, IndexError):
-            return None
-        return Frame(message_id, raw[5], raw[6], message, raw)
+
+def _decoded(raw: bytes) -> Frame | None:
+    """Return what a whole frame says, None if it is unknown or damaged; signatures are not judged."""
+    if raw[2] & ~_SIGNED:
+        return None
+    message_id = raw[7] | raw[8] << 8 | raw[9] << 16
+    layout = _layout(message_id)
+    end = _HEADER_LENGTH + raw[1]
+    if layout is None or _crc(raw[1:end] + layout.seed) != raw[end] | raw[end + 1] << 8:
+        return None
+    return Frame(message_id, raw[5], raw[6], layout.read(raw[_HEADER_LENGTH:end]), raw)
 
 
 def message_class(name: str) -> Any:

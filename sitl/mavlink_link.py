@@ -59,6 +59,11 @@ class Link:
         """Queue somebody else's frame unchanged."""
         self._queue(raw)
 
+    @property
+    def waits(self) -> bool:
+        """Whether anything is queued."""
+        return bool(self._outbox)
+
     def drain(self) -> list[bytes]:
         """Return everything queued, joined into datagrams of at most 1400 bytes."""
         datagrams: list[bytes] = []

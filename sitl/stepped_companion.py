@@ -46,6 +46,7 @@ class SteppedCompanion:
         self._receiver = LivoxReceiver(profile.lidar)
         self._external = ExternalOdometryReceiver(profile.external_odometry)
         self._handshake = LivoxHandshake(profile.lidar, host_ip)
+        self._keeps_packets = profile.log.raw_lidar
         self._data_ports = (profile.lidar.host_ports.points, profile.lidar.host_ports.imu)
         self._encoder = MavlinkEncoder()
         self._parser = MavlinkParser()
@@ -74,7 +75,8 @@ class SteppedCompanion:
         """Take one datagram from the LiDAR; return what is answered."""
         if datagram.destination[1] not in self._data_ports:
             return self._handshake.receive(datagram)
-        self._exchange.record_datagram(datagram)
+        if self._keeps_packets:
+            self._exchange.record_datagram(datagram)
         for event in self._receiver.receive(datagram):
             self._exchange.record_sensor_event(event)
             self._exchange.record_place(event, self._perception.submit(event))
@@ -120,6 +122,8 @@ class SteppedCompanion:
         return datagrams, self._send(messages, t_ns)
 
     def _send(self, messages: list[MavlinkMessage], t_ns: int) -> list[bytes]:
+        if not messages:
+            return []
         self._exchange.record_sent(messages, t_ns)
         return [self._encoder.encode(message) for message in messages]
 

@@ -48,6 +48,10 @@ class _Layout:
     extensions: frozenset[str]
     packer: struct.Struct
     checksum_seed: int
+    flat: bool
+    """No field is an array or a text, or a single character."""
+    order: tuple[int, ...]
+    """Places of the declared fields among those in wire order."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,14 +93,18 @@ def _layout(message_id: int) -> _Layout | None:
     defaults = kind.__init__.__defaults__ or ()
     newer = _NEWER_EXTENSIONS.get(kind.msgname, {})
     fields.extend(_Field(name, 1, False, False) for name in newer)
+    places = {field.name: place for place, field in enumerate(fields)}
+    declared = (*kind.fieldnames, *newer)
     return _Layout(
         id=message_id,
         name=kind.msgname,
         fields=tuple(fields),
-        declared=(*kind.fieldnames, *newer),
+        declared=declared,
         extensions=frozenset((*kind.fieldnames[len(kind.fieldnames) - len(defaults) :], *newer)),
         packer=struct.Struct(kind.unpacker.format + "".join(newer.values())),
         checksum_seed=kind.crc_extra,
+        flat="char" not in types.values() and not any(field.is_array for field in fields),
+        order=tuple(places[name] for name in declared),
     )
 
 
@@ -184,6 +192,8 @@ def _pack(layout: _Layout, fields: Mapping[str, object]) -> bytes:
 def _unpack(layout: _Layout, payload: bytes) -> dict[str, object]:
     size = layout.packer.size
     values = layout.packer.unpack(payload[:size].ljust(size, b"\0"))
+    if layout.flat:
+        return dict(zip(layout.declared, map(values.__getitem__, layout.order), strict=True))
     wire: dict[str, object] = {}
     position = 0
     for field in layout.fields:
