@@ -63,10 +63,17 @@ class ClockOffsetEstimator:
         if difference_ns < self._offset_ns - IMPOSSIBLY_EARLY_NS:
             self._restart(t_host_ns, difference_ns)
             return True
-        self._minimum_ns = min(self._minimum_ns, difference_ns)
+        if difference_ns < self._minimum_ns:
+            self._minimum_ns = difference_ns
         if t_host_ns - self._t_bucket_ns >= BUCKET_NS:
             self._close_bucket(t_host_ns, difference_ns)
-        self._follow(t_host_ns, min(self._window_minimum_ns, self._minimum_ns))
+        target_ns = min(self._window_minimum_ns, self._minimum_ns)
+        if target_ns != self._offset_ns:
+            self._follow(t_host_ns, target_ns)
+            return False
+        self._allowance_left = 0  # there is nothing to follow, as nearly always
+        if t_host_ns > self._t_last_ns:
+            self._t_last_ns = t_host_ns
         return False
 
     def declare_restart(self, t_host_ns: int, t_sensor_ns: int) -> bool:
@@ -99,7 +106,7 @@ class ClockOffsetEstimator:
 
     def _follow(self, t_host_ns: int, target_ns: int) -> None:
         elapsed_ns = max(0, t_host_ns - self._t_last_ns)
-        self._t_last_ns = max(self._t_last_ns, t_host_ns)
+        self._t_last_ns += elapsed_ns
         error_ns = target_ns - self._offset_ns
         if not self.settled:
             self._offset_ns += min(error_ns, 0)

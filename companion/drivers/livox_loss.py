@@ -62,13 +62,16 @@ class LossAccount:
         """
         if self._last_ns is None:
             return self._accept(counter, t_sensor_ns, epoch, Arrival.IN_ORDER)
+        elapsed_ns = t_sensor_ns - self._last_ns
+        if elapsed_ns == self._period_ns and counter == self._last_counter + 1 and epoch == self.epoch:
+            # The next one, as nearly always.
+            return self._accept(counter, t_sensor_ns, epoch, Arrival.IN_ORDER)
         place = t_sensor_ns // self._period_ns % _REMEMBERED
         identity = t_sensor_ns * COUNTER_RANGE + counter
         if self._seen[place] == identity and epoch == self.epoch:
             self.duplicates += 1
             return Arrival.DUPLICATE
         step = (counter - self._last_counter) % COUNTER_RANGE
-        elapsed_ns = t_sensor_ns - self._last_ns
         if epoch != self.epoch:
             return self._jump(counter, t_sensor_ns, epoch)
         if elapsed_ns <= 0:

@@ -8,6 +8,7 @@ import struct
 import zlib
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,8 +69,7 @@ _SIZES = {int(kind): dtype.itemsize for kind, dtype in POINT_DTYPES.items()}
 INERTIAL_PACKET_SIZE = HEADER_SIZE + _INERTIAL.size
 
 
-@dataclass(frozen=True, slots=True)
-class PacketHeader:
+class PacketHeader(NamedTuple):
     """What the header of one data packet says.
 
     Attributes:

@@ -1,6 +1,7 @@
 """What arrives: datagrams, MAVLink messages, samples, scans, and odometry of another process."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,9 +9,8 @@ from numpy.typing import NDArray
 from companion.messages.arrays import ByteArray, FloatArray, PointArray
 
 
-@dataclass(frozen=True, slots=True)
-class Datagram:
-    """One UDP datagram: what a socket received or is to send.
+class Datagram(NamedTuple):
+    """One UDP datagram: what a socket received or is to send; a named tuple, for thousands come a second.
 
     `t_ns` is the host time of reception, or of sending as decided by the sender.
     """

@@ -1,7 +1,6 @@
 import struct
 import tracemalloc
 import zlib
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -183,7 +182,7 @@ def test_a_restart_from_zero_is_followed_at_once() -> None:
     receiver = LivoxReceiver(SETTINGS)
     received(receiver, packet_stream(2_100, first_packet=10_000))
     outage_ns = 30_000_000_000
-    restarted = [replace(d, t_ns=d.t_ns + outage_ns) for d in packet_stream(420, counter=0)]
+    restarted = [d._replace(t_ns=d.t_ns + outage_ns) for d in packet_stream(420, counter=0)]
     found = scans(receiver, restarted)
     assert [scan.t_sensor_start_ns for scan in found[-2:]] == [0, FRAME_NS]
     assert all(scan.packets == scan.packets_expected for scan in found[-2:])
@@ -196,7 +195,7 @@ def test_a_restart_whose_stamps_lie_ahead_of_the_old_ones_is_noticed() -> None:
     received(receiver, packet_stream(1_100, counter=0))
     power_off_ns = 1_000_000_000
     restarted = packet_stream(420, first_packet=1_100, counter=-1_100)
-    found = scans(receiver, [replace(d, t_ns=d.t_ns + power_off_ns) for d in restarted])
+    found = scans(receiver, [d._replace(t_ns=d.t_ns + power_off_ns) for d in restarted])
     assert abs(found[-1].clock_offset_ns - OFFSET_NS - power_off_ns) < 10_000
     assert receiver.statistics().clock_restarts == 1
 
@@ -205,11 +204,11 @@ def test_datagrams_from_elsewhere_are_counted_and_ignored() -> None:
     receiver = LivoxReceiver(SETTINGS)
     good = packet_stream(1)[0]
     for source in [("127.0.0.3", 56_300), (LIDAR, 56_301), (HOST, 56_300)]:
-        assert receiver.receive(replace(good, source=source)) == []
+        assert receiver.receive(good._replace(source=source)) == []
     assert receiver.statistics().wrong_source == 3
     # Points on the inertial port and the reverse are from the right source, and still wrong.
-    receiver.receive(replace(good, source=(LIDAR, 56_400)))
-    receiver.receive(replace(imu(0), source=(LIDAR, 56_300)))
+    receiver.receive(good._replace(source=(LIDAR, 56_400)))
+    receiver.receive(imu(0)._replace(source=(LIDAR, 56_300)))
     assert receiver.statistics().malformed == 2
     assert receiver.statistics().packets == receiver.statistics().imu_samples == 0
 
