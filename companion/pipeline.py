@@ -258,7 +258,8 @@ class Pipeline:
         fresh = self._grant is not None and t_ns - self._grant.t_ns <= _GRANT_LIFETIME_NS
         facts = self._facts(t_ns, authorised=False)
         granted = (fresh or self._switched(facts)) and not facts.stalled
-        facts = replace(facts, authorised=granted)
+        if granted:
+            facts = replace(facts, authorised=True)
         self._ticked_ns = t_ns
         outputs = self._step(facts, t_ns)
         self._grant = None

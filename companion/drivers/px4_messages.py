@@ -26,7 +26,8 @@ _ESTIMATOR_VIO = 3
 _VELOCITY_AND_YAW_RATE = 0x5C7
 # No velocity, rate or distance of a small vehicle comes near this.
 _LARGEST = 1e6
-_UPPER_TRIANGLE = np.triu_indices(6)
+_UPPER_TRIANGLE = np.ravel_multi_index(np.triu_indices(6), (6, 6))
+_IDENTITY = np.eye(6)
 _MIN_COS_PITCH = 0.1
 
 
@@ -104,7 +105,7 @@ def external_odometry(odometry: Odometry, time_usec: int, rate_noise: float) -> 
         odometry.covariance_pose,
         odometry.covariance_velocity,
     )
-    norm = float(np.linalg.norm(odometry.q_map_body))
+    norm = math.hypot(*odometry.q_map_body.tolist())
     if not all(_usable(number) for number in numbers) or not 0.5 < norm < 2.0:
         return None
     q_map_body = rotation.normalize(odometry.q_map_body)
@@ -154,7 +155,7 @@ def pose_covariance_frd(covariance_pose: FloatArray, q_map_body: FloatArray) -> 
     # Roll and yaw cannot be told apart at the poles; a flying multicopter stays far from them.
     cos_pitch = max(math.sqrt(1.0 - sin_pitch * sin_pitch), _MIN_COS_PITCH)
     sin_roll, cos_roll = math.sin(roll), math.cos(roll)
-    jacobian = np.eye(6)
+    jacobian = _IDENTITY.copy()
     jacobian[3:, 3:] = [
         [1.0, sin_roll * sin_pitch / cos_pitch, cos_roll * sin_pitch / cos_pitch],
         [0.0, cos_roll, -sin_roll],
@@ -174,16 +175,17 @@ def velocity_covariance_frd(
         rate_noise: standard deviation of the angular rates, rad/s.
     """
     R_body_map = rotation.to_matrix(q_map_body).T
-    covariance = np.diag([0.0, 0.0, 0.0, *([rate_noise * rate_noise] * 3)])
+    covariance = np.zeros((6, 6))
+    covariance[3, 3] = covariance[4, 4] = covariance[5, 5] = rate_noise * rate_noise
     covariance[:3, :3] = frames.covariance_frd_from_flu(R_body_map @ covariance_velocity @ R_body_map.T)
     return covariance
 
 
 def _upper(covariance: FloatArray) -> list[float]:
-    triangle: list[float] = covariance[_UPPER_TRIANGLE].tolist()
+    triangle: list[float] = covariance.take(_UPPER_TRIANGLE).tolist()
     return triangle
 
 
 def _usable(values: FloatArray) -> bool:
-    # Not a number fails the comparison as well.
-    return bool(np.all(np.abs(values) <= _LARGEST))
+    # Not a number fails the comparison as well; the greatest of several numbers is it if one of them is.
+    return bool(np.abs(values).max() <= _LARGEST)

@@ -12,6 +12,8 @@ from companion.geometry import rotation
 from companion.geometry.rotation import FloatArray
 
 _FLIP_YZ: FloatArray = np.array([1.0, -1.0, -1.0])
+_FLIP_Q_YZ: FloatArray = np.array([1.0, 1.0, -1.0, -1.0])
+_FLIPS = {3 * k: np.outer(np.tile(_FLIP_YZ, k), np.tile(_FLIP_YZ, k)) for k in (1, 2)}
 _SQRT_HALF = np.sqrt(0.5)
 # Half a turn about the axis between north and east: x and y swap, z changes sign.
 _Q_NED_ENU = np.array([0.0, _SQRT_HALF, _SQRT_HALF, 0.0])
@@ -37,7 +39,7 @@ ned_from_enu = enu_from_ned
 
 def q_frd_from_flu(q_flu: ArrayLike) -> FloatArray:
     """Return q_localfrd_bodyfrd (..., 4) of q_map_body, where both frames turn from FLU to FRD."""
-    return rotation.normalize(np.asarray(q_flu, dtype=np.float64) * np.array([1.0, 1.0, -1.0, -1.0]))
+    return rotation.normalize(np.multiply(np.asarray(q_flu, dtype=np.float64), _FLIP_Q_YZ))
 
 
 q_flu_from_frd = q_frd_from_flu
@@ -54,7 +56,6 @@ def q_enu_flu_from_ned_frd(q_ned_frd: ArrayLike) -> FloatArray:
 
 
 def covariance_frd_from_flu(covariance_flu: ArrayLike) -> FloatArray:
-    """Return covariances (..., 3k, 3k) of FRD vectors of covariances of stacked FLU vectors."""
+    """Return covariances (..., 3k, 3k), k = 1 or 2, of FRD vectors of covariances of stacked FLU vectors."""
     covariance = np.asarray(covariance_flu, dtype=np.float64)
-    signs = np.tile(_FLIP_YZ, covariance.shape[-1] // 3)
-    return covariance * np.outer(signs, signs)
+    return np.multiply(covariance, _FLIPS[covariance.shape[-1]])

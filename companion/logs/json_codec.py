@@ -32,7 +32,7 @@ _Convert = Callable[[Any], Any]
 
 
 def _dumps(value: object) -> str:
-    text = json.dumps(value, separators=(",", ":"), ensure_ascii=False, default=_plain)
+    text = _ENCODER.encode(value)
     if "NaN" in text or "Infinity" in text:
         text = _NOT_JSON.sub(lambda match: _VALID.get(match[0], match[0]), text)
     return text
@@ -42,6 +42,9 @@ def _plain(value: object) -> object:
     if isinstance(value, np.generic):
         return value.item()
     raise TypeError(f"a {type(value).__name__} has no place in a log message")
+
+
+_ENCODER = json.JSONEncoder(separators=(",", ":"), ensure_ascii=False, default=_plain)
 
 
 def _checked(kind: type) -> _Convert:

@@ -3,11 +3,8 @@
 import math
 from dataclasses import dataclass
 
-import numpy as np
-
 from companion.clock import seconds_to_ns
-from companion.geometry import rotation
-from companion.messages import LandedState, Odometry, OdometryStatus, VehicleMode, VehicleState
+from companion.messages import FloatArray, LandedState, Odometry, OdometryStatus, VehicleMode, VehicleState
 from companion.safety.settings import SafetySettings
 
 _MAX_FUTURE_NS = seconds_to_ns(0.05)
@@ -105,7 +102,7 @@ class Checks:
         if odometry.quality < self._settings.min_quality:
             return f"odometry quality {odometry.quality}: {odometry.reason or 'low'}"
         motion = (odometry.p_map, odometry.v_map, odometry.q_map_body, odometry.omega_body)
-        if not all(np.isfinite(part).all() for part in motion):
+        if not all(math.isfinite(number) for part in motion for number in part.tolist()):
             return "odometry is not finite"
         if t_scan_ns == 0:
             return "no scan yet"
@@ -116,15 +113,10 @@ class Checks:
 
     def disagreement(self, odometry: Odometry, vehicle: VehicleState) -> str:
         """Return how our estimate and the autopilot's differ beyond the limits, or an empty string."""
-        heading = abs(
-            math.remainder(
-                float(rotation.yaw_of(vehicle.q_map_body) - rotation.yaw_of(odometry.q_map_body)),
-                math.tau,
-            )
-        )
+        heading = abs(math.remainder(_yaw(vehicle.q_map_body) - _yaw(odometry.q_map_body), math.tau))
         if not heading <= math.radians(self._settings.max_heading_disagreement_deg):
             return f"PX4's heading differs by {math.degrees(heading):.0f} deg"
-        speed = float(np.linalg.norm(vehicle.v_map - odometry.v_map))
+        speed = math.dist(vehicle.v_map.tolist(), odometry.v_map.tolist())
         if not speed <= self._settings.max_velocity_disagreement_mps:
             return f"PX4's velocity differs by {speed:.1f} m/s"
         return ""
@@ -180,3 +172,9 @@ class Checks:
 
     def _link(self, vehicle: VehicleState, t_ns: int) -> bool:
         return vehicle.connected and t_ns - vehicle.t_local_ns < _MAX_LOCAL_AGE_NS
+
+
+def _yaw(q_map_body: FloatArray) -> float:
+    """Return `rotation.yaw_of` of one attitude, without arrays."""
+    w, x, y, z = q_map_body.tolist()
+    return math.atan2(2.0 * (x * y + w * z), 1.0 - 2.0 * (y * y + z * z))

@@ -3,8 +3,6 @@
 import math
 from dataclasses import replace
 
-import numpy as np
-
 from companion.clock import seconds_to_ns
 from companion.geometry import rotation
 from companion.messages import FloatArray, Odometry, OdometryStatus, VehicleState
@@ -77,7 +75,8 @@ class PoseGate:
             return ""
         step_s = step_ns * 1e-9
         v_map = self._reference_velocity(last, vehicle)
-        off_m = float(np.linalg.norm(odometry.p_map - last.p_map - v_map * step_s))
+        steps = zip(odometry.p_map.tolist(), last.p_map.tolist(), v_map.tolist(), strict=True)
+        off_m = math.hypot(*[now - before - v * step_s for now, before, v in steps])
         if off_m > self._settings.max_pose_jump_m + self._settings.max_acceleration_mps2 * step_s**2:
             return f"{off_m:.1f} m"
         if self._cannot_have_turned(last, odometry, step_s):
@@ -103,6 +102,6 @@ class PoseGate:
         """Return PX4's velocity if it is fresh and has agreed until now, else the odometry's own."""
         if vehicle is None or not vehicle.connected or abs(last.t_ns - vehicle.t_local_ns) > _FRESH_NS:
             return last.v_map
-        difference = float(np.linalg.norm(vehicle.v_map - last.v_map))
+        difference = math.dist(vehicle.v_map.tolist(), last.v_map.tolist())
         agrees = difference <= self._settings.max_velocity_disagreement_mps
         return vehicle.v_map if agrees else last.v_map

@@ -61,6 +61,11 @@ def test_yaw_is_the_heading_of_the_x_axis(yaw: float) -> None:
     assert float(rotation.yaw_of(rotation.from_yaw(yaw))) == pytest.approx(yaw)
 
 
+def test_one_quaternion_is_normalised_to_the_bits_of_many() -> None:
+    q = np.random.default_rng(3).standard_normal((500, 4)) * np.logspace(-9.0, 9.0, 500)[:, None]
+    assert np.array_equal(rotation.normalize(q), [rotation.normalize(one) for one in q])
+
+
 def test_batches_equal_single_results() -> None:
     generator = np.random.default_rng(0)
     q = rotation.normalize(generator.normal(size=(5, 4)))

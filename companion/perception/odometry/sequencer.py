@@ -4,10 +4,8 @@ from collections import deque
 from dataclasses import dataclass
 from enum import Enum
 
-import numpy as np
-
 from companion.clock import seconds_to_ns
-from companion.messages import ImuSample, LidarScan
+from companion.messages import FloatArray, ImuSample, LidarScan
 from companion.perception.odometry.inertial_history import InertialHistory
 from companion.perception.odometry.settings import OdometrySettings
 
@@ -71,12 +69,7 @@ class Sequencer:
         them by as much as the host's clock says; the caller moves its own times likewise. On BROKEN
         `broken_for_ns` is for how long the host saw no sample.
         """
-        # Written so that NaN fails the comparison.
-        plausible = (
-            float(np.abs(sample.gyro_imu).max()) < _MOST_RATE
-            and float(np.abs(sample.accel_imu).max()) < _MOST_ACCELERATION
-        )
-        if not plausible:
+        if not (_below(_MOST_RATE, sample.gyro_imu) and _below(_MOST_ACCELERATION, sample.accel_imu)):
             self.counts.samples_implausible += 1
             return Arrival.DROPPED
         last, self._last = self._last, sample
@@ -139,10 +132,15 @@ class Sequencer:
         return taken
 
     def _append(self, sample: ImuSample, suspect: bool) -> None:
-        saturated = (
-            float(np.abs(sample.gyro_imu).max()) >= self._settings.gyro_saturation
-            or float(np.abs(sample.accel_imu).max()) >= self._settings.accel_saturation
+        regular = _below(self._settings.gyro_saturation, sample.gyro_imu) and _below(
+            self._settings.accel_saturation, sample.accel_imu
         )
         self.history.append(
-            sample.t_sensor_ns, sample.gyro_imu, sample.accel_imu, suspect=suspect or saturated
+            sample.t_sensor_ns, sample.gyro_imu, sample.accel_imu, suspect=suspect or not regular
         )
+
+
+def _below(limit: float, v_imu: FloatArray) -> bool:
+    """Return whether all components (3,) are smaller than a limit; not a number never is."""
+    x, y, z = v_imu.tolist()
+    return bool(abs(x) < limit and abs(y) < limit and abs(z) < limit)
