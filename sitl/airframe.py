@@ -17,7 +17,12 @@ from sitl.worlds.primitives import World
 
 
 class Airframe:
-    """True motion of one vehicle, in steps of 5 ms."""
+    """True motion of one vehicle, in steps of 5 ms.
+
+    Attributes:
+        kinematics: present motion.
+        collisions: contacts with obstacles so far.
+    """
 
     def __init__(
         self,
@@ -36,14 +41,10 @@ class Airframe:
         self._radius_m = radius_m
         yaw = np.array([float(rotation.yaw_of(T_world_start.q))])
         self._state: QuadrotorState = at_rest(T_world_start.p[None, :], yaw, settings=quadrotor)
+        self.kinematics: Kinematics = self._state.kinematics(0)
         self._touching = False
         self._room_m = 0.0
         self.collisions = 0
-
-    @property
-    def kinematics(self) -> Kinematics:
-        """Present motion."""
-        return self._state.kinematics(0)
 
     @property
     def thrust(self) -> float:
@@ -52,15 +53,15 @@ class Airframe:
 
     def truth(self, t_ns: int) -> VehicleTruth:
         """Return the present true motion stamped with `t_ns`."""
-        state = self._state
+        motion = self.kinematics
         return VehicleTruth(
             t_ns=t_ns,
-            p_world=state.p_world[0],
-            v_world=state.v_world[0],
-            accel_world=state.accel_world[0],
-            q_world_body=state.q_world_body[0],
-            omega_body=state.omega_body[0],
-            on_ground=bool(state.on_ground[0]),
+            p_world=motion.p_world,
+            v_world=motion.v_world,
+            accel_world=self._state.accel_world[0],
+            q_world_body=motion.q_world_body,
+            omega_body=motion.omega_body,
+            on_ground=bool(self._state.on_ground[0]),
         )
 
     def step(self, command: AutopilotOutput) -> None:
@@ -77,6 +78,7 @@ class Airframe:
             self._wind.step(STEP_S),
             settings=self._settings,
         )
+        self.kinematics = self._state.kinematics(0)
         touching = self._touches(before, self._state.p_world)
         self.collisions += touching and not self._touching
         self._touching = touching

@@ -43,13 +43,16 @@ class Wind:
         self._sigma = np.array([settings.gust_mps, settings.gust_mps, settings.vertical_gust_mps])
         self._time_s = np.array([settings.gust_time_s, settings.gust_time_s, settings.vertical_gust_time_s])
         self._gusts_world = self._sigma * rng.standard_normal((vehicles, 3))
+        self._step_s = 0.0
+        self._kept = self._fresh = self._sigma
 
     def step(self, step_s: float) -> FloatArray:
         """Return the wind (n, 3) in m/s of the next `step_s` seconds."""
-        kept = np.exp(-step_s / self._time_s)
-        fresh = self._sigma * np.sqrt(1.0 - kept**2)
-        self._gusts_world = kept * self._gusts_world + fresh * self._rng.standard_normal(
-            self._gusts_world.shape
-        )
+        if step_s != self._step_s:
+            self._step_s = step_s
+            self._kept = np.exp(-step_s / self._time_s)
+            self._fresh = self._sigma * np.sqrt(1.0 - self._kept**2)
+        deviates = self._rng.standard_normal(self._gusts_world.shape)
+        self._gusts_world = self._kept * self._gusts_world + self._fresh * deviates
         wind: FloatArray = self._mean_world + self._gusts_world
         return wind

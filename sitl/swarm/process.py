@@ -6,6 +6,7 @@ be seen in any log.
 """
 
 import contextlib
+import gc
 import multiprocessing
 import signal
 from collections.abc import Sequence
@@ -204,6 +205,8 @@ def _fly_share(
         try:
             load_kernels()
             share = Share(plan, numbers, blind=blind)
+            gc.collect()
+            gc.freeze()  # nothing built so far becomes garbage during the flight
             try:
                 _serve(share, connection)
             finally:
