@@ -65,7 +65,7 @@ def test_the_model_is_found_beside_the_profile_and_named(profile: Path, tmp_path
     check = check_policy(follower, FixedClock(300_000))
     assert check.verdict == "ok"
     assert check.reason.startswith("a.onnx ")
-    assert "contract best-1, configuration aaaaaaaaaaaa, commit c0ffee, 0.30 ms" in check.reason
+    assert "contract best-2, configuration aaaaaaaaaaaa, commit c0ffee, 0.30 ms" in check.reason
 
 
 @pytest.mark.parametrize(("step_ns", "verdict"), [(3_000_000, "warn"), (11_000_000, "fail")])

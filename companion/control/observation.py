@@ -36,7 +36,8 @@ class Contract:
         neighbours: shape of the others.
         grid: shape of the obstacle grid.
         memory: shape of what is remembered of obstacles; (0,) if the model has no such input.
-        law: which law must run beside the model, None if any may.
+        law: which law must run beside the model, None if any may. What the model says keeps to what that law
+            allows.
     """
 
     name: str
@@ -46,6 +47,11 @@ class Contract:
     grid: tuple[int, int, int]
     memory: tuple[int]
     law: str | None
+
+    @property
+    def keeping(self) -> int:
+        """For `overrule`: 1 if the law's limits hold for what the model says, 0 if not."""
+        return 0 if self.law is None else 1
 
     @property
     def inputs(self) -> dict[str, tuple[int, ...]]:
@@ -67,7 +73,7 @@ CONTRACTS: Mapping[str, Contract] = MappingProxyType(
         contract.name: contract
         for contract in (
             Contract("paper-1", PAPER, (PAPER_EGO,), (PAPER_ROWS, PAPER_ROW), _GRID, (0,), None),
-            Contract("best-1", BEST, (BEST_EGO,), (BEST_ROWS, BEST_ROW), _GRID, (BEST_MEMORY,), "flock"),
+            Contract("best-2", BEST, (BEST_EGO,), (BEST_ROWS, BEST_ROW), _GRID, (BEST_MEMORY,), "flock"),
         )
     }
 )
@@ -94,6 +100,11 @@ class Observation:
         self.neighbours: Float32Array = np.zeros((batch, *contract.neighbours), np.float32)
         self.grid: Float32Array = np.zeros((batch, *contract.grid), np.float32)
         self.memory: Float32Array = np.zeros((batch, *contract.memory), np.float32)
+
+    @property
+    def keeping(self) -> int:
+        """For `overrule`: 1 if the law's limits hold for what the model says, 0 if not."""
+        return 0 if self.law is None else 1
 
     @property
     def inputs(self) -> dict[str, Float32Array]:

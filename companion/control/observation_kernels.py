@@ -34,7 +34,7 @@ from companion.messages import Float32Array, FloatArray
 PAPER = 0
 """Number of the contract `paper-1`."""
 BEST = 1
-"""Number of the contract `best-1`."""
+"""Number of the contract `best-2`."""
 
 PAPER_EGO = 7
 PAPER_ROWS = 6
@@ -54,6 +54,12 @@ _MOST_KNOWN = 10.0
 _VIEW_RANGE_M = 5.0
 _MEMORY_RANGE_M = 5.0
 _TWO_BODIES_M = 0.4
+
+
+@portable_inlined
+def keeping_of(contract: int) -> int:
+    """Return 1 if what a policy of a contract says must keep to the limits of its law, 0 if not."""
+    return 1 if contract == BEST else 0
 
 
 @portable(

@@ -59,10 +59,11 @@ class PolicyStep:
 
     def finish(self, velocities: Float32Array) -> None:
         """Fly on with a policy's velocities (batch, 3), heading frame, m/s."""
+        contract = self.observation.contract.number
         for trial, rows in zip(self._trials, self._rows, strict=True):
             if trial.is_over:
                 continue
             self.fallen += overrule_swarm(
-                trial.views, trial.law, trial.flown, velocities[rows], trial.wanted
+                contract, trial.views, trial.law, trial.flown, velocities[rows], trial.wanted
             )  # fmt: skip
             trial.finish_step()

@@ -6,7 +6,7 @@ import numpy as np
 
 from companion.compiled import compiled
 from companion.control.followers.laws_kernels import overrule
-from companion.control.observation_kernels import describe
+from companion.control.observation_kernels import describe, keeping_of
 from companion.messages import Float32Array, FloatArray
 from sitl.abstract.swarm_kernels import VIEWS, Arrays
 from sitl.dynamics_kernels import Q
@@ -61,15 +61,21 @@ def describe_swarm(
         )  # fmt: skip
 
 
-@compiled(f"int64({VIEWS}, {_F1}, {_F2}, {_S2}, {_F2})")
+@compiled(f"int64(int64, {VIEWS}, {_F1}, {_F2}, {_S2}, {_F2})")
 def overrule_swarm(
-    views: Arrays, law: FloatArray, flown: FloatArray, velocities: Float32Array, wanted: FloatArray
+    contract: int,
+    views: Arrays,
+    law: FloatArray,
+    flown: FloatArray,
+    velocities: Float32Array,
+    wanted: FloatArray,
 ) -> int:
     """Let all followers of a swarm fly a policy's velocities, limited like those of a law.
 
     Whoever gets a velocity that is not finite goes on as the law wants.
 
     Args:
+        contract: of the policy, see `observation_kernels.describe`.
         views: see `swarm_kernels.VIEWS`.
         law: (PARAMETER_COUNT,) of the followers' law.
         flown: (n, 3) velocities flown before this step, map.
@@ -89,5 +95,5 @@ def overrule_swarm(
         wanted[i, 0] = x
         wanted[i, 1] = y
         wanted[i, 2] = z
-        overrule(ego[i], flown[i], memory[i], law, wanted[i])
+        overrule(keeping_of(contract), ego[i], flown[i], memory[i], law, wanted[i])
     return fallen

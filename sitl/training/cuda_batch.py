@@ -134,8 +134,8 @@ class CudaSwarmBatch(SwarmBatch):
         card, run, n = self._card[index], self._run, self._cohorts[index].vehicles
         which, count = card.which[first:last], last - first
         run.fly(
-            count * n, which, velocity, self._card_bank, self._card_law, card.swarm, card.motion, card.views,
-            card.acts,
+            count * n, which, self._number, velocity, self._card_bank, self._card_law, card.swarm,
+            card.motion, card.views, card.acts,
         )  # fmt: skip
         run.count(count, which, 1, card.swarm, card.motion, card.acts)
         self._see(card, which, count * n, self._showing)

@@ -46,15 +46,15 @@ def _begin(which: Numbers, bank: Arrays, swarm: Arrays, motion: Arrays) -> None:
 
 
 def _fly(
-    which: Numbers, velocity: Float32Array, bank: Arrays, law: FloatArray, swarm: Arrays, motion: Arrays,
-    views: Arrays, acts: Arrays,
+    which: Numbers, contract: int, velocity: Float32Array, bank: Arrays, law: FloatArray, swarm: Arrays,
+    motion: Arrays, views: Arrays, acts: Arrays,
 ) -> None:  # fmt: skip
     t, n = cuda.grid(1), motion[3].shape[1]
     if t < which.shape[0] * n:
         s = which[t // n]
         fly_one(
-            s, t % n, velocity, bank[3], world_of(s, bank, swarm), motion_of(s, motion), views_of(s, views),
-            law, swarm, acts,
+            s, t % n, contract, velocity, bank[3], world_of(s, bank, swarm), motion_of(s, motion),
+            views_of(s, views), law, swarm, acts,
         )  # fmt: skip
 
 

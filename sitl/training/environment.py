@@ -69,7 +69,7 @@ class SwarmBatch:
 
         Args:
             settings: swarms, scenes and rules.
-            contract: `paper-1` or `best-1`.
+            contract: `paper-1` or `best-2`.
             seed: everything random comes from it; results do not depend on `workers`.
             workers: threads.
             bank: scenes that are built already, from settings that agree.

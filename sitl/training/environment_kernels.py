@@ -12,7 +12,7 @@ import numpy as np
 from companion.compiled import portable, portable_inlined
 from companion.control.followers.laws_kernels import overrule, steer_flock
 from companion.control.followers.layout_kernels import PREVIOUS
-from companion.control.observation_kernels import describe_all_but_grid, describe_grid
+from companion.control.observation_kernels import describe_all_but_grid, describe_grid, keeping_of
 from companion.messages import Float32Array, FloatArray
 from sitl.abstract import layout_kernels as place
 from sitl.abstract.grid_kernels import cull
@@ -198,8 +198,8 @@ def begin_swarms(
 
 @portable_inlined
 def fly_one(
-    s: int, i: int, velocity: Float32Array, flights: FloatArray, world: Arrays, moving: Arrays, own: Arrays,
-    law: FloatArray, swarm: Arrays, acts: Arrays,
+    s: int, i: int, contract: int, velocity: Float32Array, flights: FloatArray, world: Arrays, moving: Arrays,
+    own: Arrays, law: FloatArray, swarm: Arrays, acts: Arrays,
 ) -> None:  # fmt: skip
     """Give vehicle i its command and move it on by one control step; the leader flies as it is known to."""
     seeds, places, parameters, quadrotor, _, _, _, _ = swarm
@@ -211,7 +211,7 @@ def fly_one(
         for axis in range(3):
             commands[row, 0, axis] = flights[at_last, 3 + axis]
     else:
-        _command(s, i, row, velocity, commands, own, law, swarm, acts)
+        _command(s, i, row, contract, velocity, commands, own, law, swarm, acts)
     move_one(
         seeds[s], step, i, commands, parameters[s], quadrotor[s], gusts, state, loop, setpoint, wind
     )  # fmt: skip
@@ -226,8 +226,8 @@ def fly_one(
 
 @portable_inlined
 def _command(
-    s: int, i: int, row: int, velocity: Float32Array, commands: FloatArray, own: Arrays, law: FloatArray,
-    swarm: Arrays, acts: Arrays,
+    s: int, i: int, row: int, contract: int, velocity: Float32Array, commands: FloatArray, own: Arrays,
+    law: FloatArray, swarm: Arrays, acts: Arrays,
 ) -> None:  # fmt: skip
     """Limit what a follower is asked for, and pay for how it differs from the law's wish and from before."""
     ego, memory = own[1][i], own[4][i]
@@ -239,7 +239,7 @@ def _command(
         off += (asked[axis] - wanted[axis]) ** 2
     if math.isfinite(off):
         # Otherwise the law's own command is flown, as a companion does.
-        overrule(ego, flown, memory, law, asked)
+        overrule(keeping_of(contract), ego, flown, memory, law, asked)
     changed = 0.0
     for axis in range(3):
         changed += (memory[PREVIOUS + axis] - flown[axis]) ** 2
@@ -372,7 +372,7 @@ def step_swarms(
         world, moving = world_of(s, bank, swarm), motion_of(s, motion)
         own, grid = views_of(s, views), grid_of(s, rays, swarm)
         for i in range(n):
-            fly_one(s, i, velocity, bank[3], world, moving, own, law, swarm, acts)
+            fly_one(s, i, contract, velocity, bank[3], world, moving, own, law, swarm, acts)
         swarm[1][s, at.STEP] += 1
         take_sample(s, swarm, motion, acts)
         for i in range(n):

@@ -177,7 +177,7 @@ class Evaluation:
                 self._scenes[number].append(_scene(case, trial))
                 on_scene(number * trials + trial + 1, trials * len(self._cases))
 
-    def __call__(self, module: torch.nn.Module, contract: str = "best-1") -> Mapping[str, float]:
+    def __call__(self, module: torch.nn.Module, contract: str = "best-2") -> Mapping[str, float]:
         """Judge a network for a training's curve; see `Evaluated.numbers`."""
         return self.judge(TorchPolicy.of(module, contract)).numbers()
 

@@ -20,7 +20,7 @@ from sitl.training.settings import NetworkSettings
 
 ACTIONS = 3
 _REFERENCE = slice(10, 13)
-"""Where `best-1` holds flock's command among the numbers of one's own..."""
+"""Where `best-2` holds flock's command among the numbers of one's own..."""
 _REFERENCE_UNIT_MPS = 2.0
 """... and in which unit."""
 _PRESENT = 6

@@ -123,7 +123,7 @@ class TrainingSettings(Settings):
 
     title: str = Field(default="Training", min_length=1, max_length=120)
     """Shown with progress."""
-    contract: Literal["best-1", "paper-1"] = "best-1"
+    contract: Literal["best-2", "paper-1"] = "best-2"
     """What the policy is given to see."""
     seed: int = Field(default=1, ge=0, le=2**31 - 1)
     """Of everything random."""

@@ -19,7 +19,7 @@ WIDE = 1e3
 
 
 def metadata(
-    contract: str = "best-1", settings: FollowerSettings | None = None, width: float = WIDE
+    contract: str = "best-2", settings: FollowerSettings | None = None, width: float = WIDE
 ) -> PolicyMetadata:
     """Return what belongs to a model for this contract; features within +-`width` are usual."""
     shapes = CONTRACTS[contract].inputs
@@ -30,7 +30,7 @@ def metadata(
         configuration_sha256=CONFIGURATION_SHA256,
         commit=COMMIT,
         evaluation=[{"world": "none", "success_rate": 1.0}],
-        teacher=(settings or FollowerSettings()).law_sha256() if contract == "best-1" else "",
+        teacher=(settings or FollowerSettings()).law_sha256() if contract == "best-2" else "",
         observation_low={name: -values for name, values in bounds.items()},
         observation_high=bounds,
         opset=18,
@@ -40,7 +40,7 @@ def metadata(
 def save(
     path: Path,
     *,
-    contract: str = "best-1",
+    contract: str = "best-2",
     settings: FollowerSettings | None = None,
     offset: tuple[float, float, float] = (0.0, 0.0, 0.0),
     scale: float = 0.0,
@@ -50,14 +50,14 @@ def save(
     width: float = WIDE,
     batch: str | int = "batch",
 ) -> Path:
-    """Write a model whose velocity is a constant, or for `best-1` the law's plus a constant.
+    """Write a model whose velocity is a constant, or for `best-2` the law's plus a constant.
 
     Args:
         path: of the file.
         contract: of its metadata.
         settings: whose law's hash the metadata name.
         offset: the constant, m/s.
-        scale: 1 for the law's velocity plus the constant; `best-1` only.
+        scale: 1 for the law's velocity plus the constant; `best-2` only.
         shapes: of inputs, where they are not the contract's.
         entries: changes the metadata.
         output: name of the output.
@@ -68,7 +68,7 @@ def save(
         helper.make_tensor_value_info(name, TensorProto.FLOAT, [batch, *shape])
         for name, shape in {**CONTRACTS[contract].inputs, **(shapes or {})}.items()
     ]
-    first = 10 if contract == "best-1" else 0
+    first = 10 if contract == "best-2" else 0
     numbers: dict[str, np.ndarray[Any, np.dtype[Any]]] = {
         "offset": np.array([offset], np.float32),
         "scale": np.array([2.0 * scale], np.float32),

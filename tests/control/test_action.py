@@ -11,7 +11,7 @@ from companion.control.action import Pilot, PolicyCounters
 from companion.control.observation import CONTRACTS, Contract, Observation
 from companion.messages import Float32Array
 
-BEST = CONTRACTS["best-1"]
+BEST = CONTRACTS["best-2"]
 LONG_S = 30.0
 
 

@@ -43,7 +43,7 @@ def grid_of(ranges: FloatArray) -> Float32Array:
 
 
 def view_of(follower: Follower, ego: FloatArray) -> FloatArray:
-    """Return rows of `best-1` from what the law remembers."""
+    """Return rows of `best-2` from what the law remembers."""
     known = int(follower.memory[layout.FLOCK_KNOWN])
     view = follower.memory[layout.FLOCK_VIEW :][: known * layout.FLOCK_VIEW_SIZE].reshape(known, 6)
     rows = np.zeros((12, 8))
@@ -71,7 +71,7 @@ def surroundings_of(follower: Follower, ego: FloatArray) -> FloatArray:
 def test_the_contracts_are_as_published() -> None:
     assert {name: contract.inputs for name, contract in CONTRACTS.items()} == {
         "paper-1": {"ego": (7,), "neighbours": (6, 7), "grid": (2, 72, 12)},
-        "best-1": {"ego": (14,), "neighbours": (12, 8), "grid": (2, 72, 12), "memory": (72,)},
+        "best-2": {"ego": (14,), "neighbours": (12, 8), "grid": (2, 72, 12), "memory": (72,)},
     }
     for contract in CONTRACTS.values():
         arrays = Observation(contract, 3).inputs
@@ -125,12 +125,12 @@ def test_the_best_own_state_by_hand() -> None:
     ego = own(p=(3.0, 4.0, 1.5), v=(0.5, -0.25, 0.125), yaw=1.0, alone=0.5)
     up, previous = np.array([0.1, -0.2, 0.97]), np.array([0.2, 0.4, -0.6])
     seen, command = observed(
-        CONTRACTS["best-1"], follower, ego, others((2.0, 1.0, 0.1)), free(), up=up, previous=previous
+        CONTRACTS["best-2"], follower, ego, others((2.0, 1.0, 0.1)), free(), up=up, previous=previous
     )
     wanted = [0.25, -0.125, 0.0625, 0.1, -0.2, -0.25, 0.25, 0.1, 0.2, -0.3, *command / 2.0, 0.1]
     np.testing.assert_allclose(seen.ego[0], wanted, rtol=1e-6)
     lonely = own(p=(0.0, 0.0, 30.0), alone=np.inf)
-    seen, _ = observed(CONTRACTS["best-1"], Follower("flock"), lonely, others(), free())
+    seen, _ = observed(CONTRACTS["best-2"], Follower("flock"), lonely, others(), free())
     assert seen.ego[0, 5:7].tolist() == [2.0, 1.0]
     assert seen.ego[0, 13] == 0.0
     assert not seen.neighbours.any()
@@ -144,7 +144,7 @@ def test_the_best_observation_shows_what_the_law_remembers() -> None:
         ego, rows, ranges = drawn(rng)
         # A flight, not a row of leaps: what was seen before is still near.
         ego[0:3] = 0.05 * step, 0.3 * np.sin(0.1 * step), 1.5
-        seen, _ = observed(CONTRACTS["best-1"], follower, ego, rows if step % 3 == 0 else others(), ranges)
+        seen, _ = observed(CONTRACTS["best-2"], follower, ego, rows if step % 3 == 0 else others(), ranges)
         np.testing.assert_allclose(seen.neighbours[0], view_of(follower, ego), atol=1e-6)
         np.testing.assert_allclose(seen.memory[0], surroundings_of(follower, ego), atol=1e-6)
         np.testing.assert_array_equal(seen.grid[0], grid_of(ranges).astype(np.float32))
@@ -154,7 +154,7 @@ def test_the_best_observation_shows_what_the_law_remembers() -> None:
 
 def test_an_obstacle_out_of_sight_is_still_shown_where_it_was() -> None:
     follower = Follower("flock")
-    contract = CONTRACTS["best-1"]
+    contract = CONTRACTS["best-2"]
     seen, _ = observed(contract, follower, own(), others(), column(free(), 2.0, 1.0))
     assert seen.memory[0, 0] == pytest.approx(0.8, abs=0.01)
     assert np.count_nonzero(seen.memory) == 1
@@ -171,7 +171,7 @@ def test_equal_situations_give_equal_bytes() -> None:
         rng, follower = np.random.default_rng(2), Follower("flock")
         flown = []
         for _ in range(20):
-            seen, _ = observed(CONTRACTS["best-1"], follower, *drawn(rng))
+            seen, _ = observed(CONTRACTS["best-2"], follower, *drawn(rng))
             flown.append(b"".join(values.tobytes() for values in seen.inputs.values()))
         return b"".join(flown)
 

@@ -111,18 +111,18 @@ def test_what_is_pinned_flies_no_other_model(tmp_path: Path) -> None:
 
 def test_another_contract_is_refused_with_both(tmp_path: Path) -> None:
     path = save(tmp_path / "a.onnx", entries=with_entry("contract", "best-9"))
-    assert "contract 'best-9', this companion knows paper-1, best-1" in refusal(flying(path))
+    assert "contract 'best-9', this companion knows paper-1, best-2" in refusal(flying(path))
 
 
 def test_other_shapes_are_refused_with_both(tmp_path: Path) -> None:
     path = save(tmp_path / "a.onnx", entries=with_entry("inputs", {"ego": [7]}))
-    assert """inputs '{"ego": [7]}', contract best-1 has {"ego": [14],""" in refusal(flying(path))
+    assert """inputs '{"ego": [7]}', contract best-2 has {"ego": [14],""" in refusal(flying(path))
     path = save(tmp_path / "a.onnx", shapes={"neighbours": (6, 8)})
     assert "input neighbours is tensor(float) (batch, 6, 8), wanted tensor(float) (batch, 12, 8)" in refusal(
         flying(path)
     )
     path = save(tmp_path / "a.onnx", shapes={"leader": (3,)})
-    assert "inputs ego, grid, leader, memory, neighbours, contract best-1 has ego, grid" in refusal(
+    assert "inputs ego, grid, leader, memory, neighbours, contract best-2 has ego, grid" in refusal(
         flying(path)
     )
     path = save(tmp_path / "a.onnx", batch=1)

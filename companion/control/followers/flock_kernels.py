@@ -52,6 +52,7 @@ from companion.control.followers.layout_kernels import (
     FLOCK_HEIGHT_GAIN,
     FLOCK_KNOWN,
     FLOCK_LEAD,
+    FLOCK_LIMITED,
     FLOCK_LINK,
     FLOCK_LINK_BEHIND,
     FLOCK_LINK_LENGTH,
@@ -105,6 +106,7 @@ def flock(
     take_detour(ego, count, memory, parameters, wish)
     turn_past_obstacles(count, memory, parameters, wish)
     count = limit_by_neighbours(ego, known, count, memory, parameters)
+    memory[FLOCK_LIMITED] = count
     project(count, memory, wish)
     _remember_wish(ego, memory, wish)
 

@@ -19,6 +19,7 @@ from companion.control.followers.layout_kernels import (
     FLOCK_COLUMNS,
     FLOCK_DETOUR,
     FLOCK_LIMIT_SIZE,
+    FLOCK_LIMITED,
     FLOCK_LIMITS,
     FLOCK_NEIGHBOUR_MARGIN,
     FLOCK_NEIGHBOUR_RATE,
@@ -229,3 +230,17 @@ def project(count: int, memory: FloatArray, wish: FloatArray) -> None:
                 changed = True
         if not changed:
             return
+
+
+@portable_inlined
+def keep_to_limits(x: float, y: float, memory: FloatArray, command: FloatArray) -> None:
+    """Project another command onto the half-planes of this tick, as far as the law's (x, y) keeps to them.
+
+    What the law itself cannot keep, as it changes its command only so fast, is not asked of others: who flies
+    what the law does is not held back at all.
+    """
+    count = int(memory[FLOCK_LIMITED])
+    for index in range(count):
+        at = FLOCK_LIMITS + index * FLOCK_LIMIT_SIZE
+        memory[at + 2] = max(memory[at + 2], memory[at] * x + memory[at + 1] * y)
+    project(count, memory, command)

@@ -4,6 +4,7 @@ import math
 
 from companion.compiled import portable, portable_inlined
 from companion.control.followers.flock_kernels import flock
+from companion.control.followers.flock_limit_kernels import keep_to_limits
 from companion.control.followers.layout_kernels import (
     EGO_ALONE,
     EGO_DT,
@@ -227,8 +228,9 @@ def limit_command(
     _limit(ego, previous_map[0], previous_map[1], previous_map[2], parameters, command)
 
 
-@portable("void(float64[::1], float64[::1], float64[::1], float64[::1], float64[::1])")
+@portable("void(int64, float64[::1], float64[::1], float64[::1], float64[::1], float64[::1])")
 def overrule(
+    keeping: int,
     ego: FloatArray,
     previous_map: FloatArray,
     memory: FloatArray,
@@ -241,6 +243,8 @@ def overrule(
     law goes on from what is really flown.
 
     Args:
+        keeping: 1 if it must keep to what `flock`, which is then the law, allows: its half-planes have the
+            last word before the limits of all commands; 0 if not.
         ego: (10,) as given to `steer` in this tick.
         previous_map: (3,) the command flown before this tick, in the map: what `memory` held from `PREVIOUS`
             on before `steer`.
@@ -248,5 +252,10 @@ def overrule(
         parameters: (PARAMETER_COUNT,) as for `steer`.
         command: (3,) in and out: velocity in the heading frame, m/s.
     """
+    if keeping == 1 and math.isfinite(command[0]) and math.isfinite(command[1]):
+        cos_yaw, sin_yaw = math.cos(ego[EGO_YAW]), math.sin(ego[EGO_YAW])
+        asked_x = cos_yaw * memory[PREVIOUS] + sin_yaw * memory[PREVIOUS + 1]
+        asked_y = cos_yaw * memory[PREVIOUS + 1] - sin_yaw * memory[PREVIOUS]
+        keep_to_limits(asked_x, asked_y, memory, command)
     _limit(ego, previous_map[0], previous_map[1], previous_map[2], parameters, command)
     _remember(ego, memory, command)

@@ -72,7 +72,7 @@ class LearnedFollower:
         unusual = self._pilot.counters.unusual
         refusal = self._pilot.ask(command)
         if refusal is None:
-            overrule(ego, self._previous_map, memory, self._parameters, command)
+            overrule(seen.contract.keeping, ego, self._previous_map, memory, self._parameters, command)
         self._remark(refusal, self._pilot.counters.unusual > unusual, t_ns)
 
     def remarks(self) -> tuple[StatusText, ...]:

@@ -12,12 +12,13 @@ from companion.control.followers.laws_kernels import limit_command, overrule
 from companion.control.followers.layout_kernels import PREVIOUS
 from companion.control.followers.role import FollowerRole
 from companion.control.followers.settings import FollowerSettings
-from companion.control.observation import Observation
+from companion.control.observation import CONTRACTS, Observation
+from companion.control.observation_kernels import keeping_of
 from companion.control.policy import load_policy
 from companion.messages import Float32Array, FloatArray, OdometryStatus, StatusText
 from companion.perception.neighbours import NeighbourSettings, NeighbourView
 from companion.perception.occupancy import GridSettings, ObstacleGrid
-from tests.control.followers.situations import Follower, drawn, others, own
+from tests.control.followers.situations import Follower, column, drawn, free, others, own
 from tests.control.followers.test_role import START_NS, TICK_NS, odometry, role, show, track
 from tests.control.models import save
 from tests.control.test_action import FakePolicy
@@ -68,7 +69,7 @@ def test_a_policy_that_changes_nothing_flies_as_its_law(tmp_path: Path) -> None:
     assert follower.counters.flown == follower.counters.asked == 100
 
 
-@pytest.mark.parametrize("contract", ["best-1", "paper-1"])
+@pytest.mark.parametrize("contract", ["best-2", "paper-1"])
 def test_a_policys_velocity_is_flown_within_the_limits(contract: str, tmp_path: Path) -> None:
     follower = model_role(tmp_path / "a.onnx", contract=contract, offset=(3.0, 0.0, -3.0))
     commands = flight(follower)
@@ -178,15 +179,48 @@ def test_limits_of_a_policy_are_those_of_a_law() -> None:
         twin.steer(ego, rows, ranges)
         # What is within the limits already is neither changed nor remembered otherwise.
         again = command.copy()
-        overrule(ego, previous_map, twin.memory, twin.parameters, again)
+        overrule(0, ego, previous_map, twin.memory, twin.parameters, again)
         np.testing.assert_allclose(again, command, atol=1e-12)
         np.testing.assert_allclose(twin.memory, follower.memory, atol=1e-12)
         wild = rng.uniform(-5.0, 5.0, 3)
         limited = wild.copy()
         limit_command(ego, previous_map, follower.parameters, limited)
-        overrule(ego, previous_map, twin.memory, twin.parameters, wild)
+        overrule(0, ego, previous_map, twin.memory, twin.parameters, wild)
         assert wild.tolist() == limited.tolist()
         twin.memory[:] = follower.memory
+
+
+def test_a_policy_that_keeps_to_the_law_flies_at_nothing_faster_than_the_law_allows() -> None:
+    """It asks for full speed at a pillar and at a neighbour; what the law flies is not changed at all."""
+    g = FollowerSettings().flock
+    towards = column(column(free(), 0.0, 0.8), -5.0, 0.8)
+    rows = others((0.0, 0.9, 0.0), (4.0, -1.0, 0.0))
+    follower = Follower("flock")
+    command = follower.settle(own(), rows, towards)
+    previous_map = follower.memory[PREVIOUS : PREVIOUS + 3].copy()
+    same = command.copy()
+    overrule(1, own(), previous_map, follower.memory, follower.parameters, same)
+    np.testing.assert_allclose(same, command, atol=1e-12)
+    for asked in ((2.0, 0.0, 0.0), (0.0, 2.0, 0.0), (1.4, 1.4, 0.0)):
+        kept, free_of_it = np.array(asked), np.array(asked)
+        for _ in range(40):
+            kept[:], free_of_it[:] = asked, asked
+            follower.steer(own(), rows, towards)
+            memory = follower.memory.copy()
+            overrule(1, own(), memory[PREVIOUS : PREVIOUS + 3], follower.memory, follower.parameters, kept)
+            overrule(0, own(), np.array(asked), memory, follower.parameters, free_of_it)
+        assert np.linalg.norm(free_of_it) == pytest.approx(2.0, abs=0.03)
+        for azimuth in np.radians([2.5, -2.5]):
+            n = np.array([np.cos(azimuth), np.sin(azimuth)])
+            aside = 0.8 * abs(n[0] * kept[1] - n[1] * kept[0]) / np.linalg.norm(kept[:2])
+            room = g.body_radius_m + g.obstacle_margin_m
+            assert n @ kept[:2] <= g.obstacle_per_s * (0.8 - room) + 1e-6 or aside >= room + g.pass_m - 1e-6
+        assert kept[1] <= g.neighbour_per_s * (0.9 - g.neighbour_margin_m) + 1e-6
+
+
+def test_contracts_with_a_law_keep_to_it_in_kernels_too() -> None:
+    for contract in CONTRACTS.values():
+        assert contract.keeping == keeping_of(contract.number) == (contract.law is not None)
 
 
 def test_a_velocity_that_is_no_number_is_limited_to_braking() -> None:

@@ -21,7 +21,7 @@ FOLLOWER, PAPER = FollowerSettings(), AbstractSettings.of("paper")
 class Scripted:
     """Says what a function of the observation says."""
 
-    def __init__(self, offset: float = 0.0, contract: str = "best-1") -> None:
+    def __init__(self, offset: float = 0.0, contract: str = "best-2") -> None:
         self.contract: Contract = CONTRACTS[contract]
         self._offset = np.float32(offset)
 
@@ -54,7 +54,7 @@ def test_a_policy_that_repeats_the_law_flies_like_it(scene: SwarmScene) -> None:
 
 def test_what_a_policy_says_is_flown_within_the_limits_of_commands(scene: SwarmScene) -> None:
     flight = AbstractTrial(scene, "flock", FOLLOWER, PAPER)
-    step = PolicyStep(CONTRACTS["best-1"], [flight])
+    step = PolicyStep(CONTRACTS["best-2"], [flight])
     last = np.zeros(4)
     for _ in range(20):
         step.begin()

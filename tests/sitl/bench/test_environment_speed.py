@@ -8,7 +8,7 @@ from tests.sitl.training.small_batch import OPEN
 
 
 def test_one_row_for_one_thread_and_one_for_several() -> None:
-    settings = TrainingSettings(contract="best-1", environment=OPEN, ppo=PpoSettings(hold=2))
+    settings = TrainingSettings(contract="best-2", environment=OPEN, ppo=PpoSettings(hold=2))
     built: list[tuple[int, int]] = []
     rows = list(measure(settings, 2, 4, lambda done, total: built.append((done, total))))
     assert [row["threads"] for row in rows] == [1, 2]

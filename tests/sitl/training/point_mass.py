@@ -13,7 +13,7 @@ _EPISODE = 40
 class PointMass:
     """Points that see where their goal is, in `ego`, and are paid for nearness."""
 
-    def __init__(self, streams: int, seed: int, contract: str = "best-1") -> None:
+    def __init__(self, streams: int, seed: int, contract: str = "best-2") -> None:
         self._streams = streams
         self._random = np.random.default_rng(seed)
         self._observation = Observation.room(contract, streams)

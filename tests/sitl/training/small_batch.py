@@ -40,12 +40,12 @@ def open_bank() -> SceneBank:
 def mixed_batch(seed: int = 1, workers: int = 1, **changes: Any) -> SwarmBatch:
     """Return an environment of several sizes, worlds and perceptions."""
     settings = MIXED.model_copy(update=changes)
-    return SwarmBatch(settings, "best-1", seed, workers, bank=mixed_bank())
+    return SwarmBatch(settings, "best-2", seed, workers, bank=mixed_bank())
 
 
 def open_batch(seed: int = 1, **changes: Any) -> SwarmBatch:
     """Return an environment with one swarm of four followers without obstacles."""
-    return SwarmBatch(OPEN.model_copy(update=changes), "best-1", seed, bank=open_bank())
+    return SwarmBatch(OPEN.model_copy(update=changes), "best-2", seed, bank=open_bank())
 
 
 def flown(batch: SwarmBatch, steps: int, velocity: Float32Array | None = None) -> StepResult:

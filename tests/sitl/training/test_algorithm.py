@@ -52,9 +52,9 @@ def rolled(algorithm: ShardedPpo, environment: VectorEnvironment) -> None:
 
 
 def prepared(settings: PpoSettings, streams: int = 32) -> tuple[ShardedPpo, VectorEnvironment]:
-    environment = VectorEnvironment(PointMass(streams, 1), "best-1", channels=1)
+    environment = VectorEnvironment(PointMass(streams, 1), "best-2", channels=1)
     seen = environment.get_observations()
-    actor, critic = build("best-1", SMALL, int(seen["privileged"].shape[-1]), 1)
+    actor, critic = build("best-2", SMALL, int(seen["privileged"].shape[-1]), 1)
     return ShardedPpo(actor, critic, seen, settings, seed=1), environment
 
 
@@ -179,8 +179,8 @@ def test_a_point_on_a_plane_learns_to_fly_to_its_goal(tmp_path: Path) -> None:
 
 def test_an_action_that_lasts_is_flown_and_rewarded_in_every_step_of_its_trial() -> None:
     one, three = (PointMass(4, 3) for _ in range(2))
-    slow = VectorEnvironment(three, "best-1", channels=1, hold=3)
-    quick = VectorEnvironment(one, "best-1", channels=1)
+    slow = VectorEnvironment(three, "best-2", channels=1, hold=3)
+    quick = VectorEnvironment(one, "best-2", channels=1)
     action = torch.full((4, 3), 0.3)
     total, over = torch.zeros(4), torch.zeros(4, dtype=torch.bool)
     for _ in range(3):

@@ -45,7 +45,7 @@ def test_a_swarm_flown_by_its_law_flies_as_a_trial_does(index: int) -> None:
     scene = bank.scenes[index]
     followers = scene.vehicles - 1
     settings = MIXED.model_copy(update={"swarms": 1, "followers": [followers], "end_on_loss": False})
-    batch = SwarmBatch(settings, "best-1", 5, bank=bank)
+    batch = SwarmBatch(settings, "best-2", 5, bank=bank)
     batch.reset()
     cohort = _only(batch)
     # The trial of this very scene: chance in it comes from the scene's own seed, as in a campaign.

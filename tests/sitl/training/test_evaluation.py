@@ -17,11 +17,11 @@ def evaluation() -> Evaluation:
 
 @pytest.fixture(scope="module")
 def flown(evaluation: Evaluation) -> Evaluated:
-    return evaluation.judge(TorchPolicy.of(policy(0.05), "best-1"))
+    return evaluation.judge(TorchPolicy.of(policy(0.05), "best-2"))
 
 
 def test_flock_as_a_network_is_judged_like_flock(evaluation: Evaluation) -> None:
-    network, law = evaluation.judge(TorchPolicy.of(policy(), "best-1")), evaluation.judge_law("flock")
+    network, law = evaluation.judge(TorchPolicy.of(policy(), "best-2")), evaluation.judge_law("flock")
     assert [record.end for record in network.records] == [record.end for record in law.records]
     assert network.score == pytest.approx(law.score, abs=0.5)
     pairs = network.against(law)
@@ -39,7 +39,7 @@ def test_scenes_are_never_those_held_out_nor_those_of_training(flown: Evaluated)
 
 
 def test_threads_change_nothing(flown: Evaluated) -> None:
-    again = Evaluation(2, cases=NEAR, workers=2).judge(TorchPolicy.of(policy(0.05), "best-1"))
+    again = Evaluation(2, cases=NEAR, workers=2).judge(TorchPolicy.of(policy(0.05), "best-2"))
     assert repr(again) == repr(flown)
 
 

@@ -32,7 +32,7 @@ def test_a_companion_loads_the_file_and_knows_where_it_comes_from(exported: Expo
     model = load_policy(FollowerSettings(controller="policy", model=str(exported.path)))
     said = model.metadata
     assert model.sha256 == exported.sha256
-    assert said.contract == "best-1"
+    assert said.contract == "best-2"
     assert said.configuration_sha256 == configuration_sha256(SETTINGS)
     assert (said.commit, said.evaluation) == ("c0ffee", [{"SR": 99.0}])
     assert said.limits["max_speed_mps"] == FollowerSettings().command.max_speed_mps
@@ -53,7 +53,7 @@ def test_what_followers_see_in_such_flights_is_usual(
 
 
 def test_equal_networks_give_equal_files_and_stay_as_they_are(exported: Exported) -> None:
-    network, contract = policy(0.05), CONTRACTS["best-1"]
+    network, contract = policy(0.05), CONTRACTS["best-2"]
     before = {name: value.clone() for name, value in network.state_dict().items()}
     metadata = read_policy(exported.path).metadata
     assert exporting.model_bytes(network, contract, metadata) == exported.path.read_bytes()

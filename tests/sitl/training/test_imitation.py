@@ -72,9 +72,9 @@ def test_whoever_is_stopped_keeps_what_was_learned(tmp_path: Path) -> None:
 
 
 def test_what_was_seen_is_drawn_as_it_was() -> None:
-    contract = CONTRACTS["best-1"]
+    contract = CONTRACTS["best-2"]
     rng = np.random.default_rng(4)
-    seen = Observation.room("best-1", 5)
+    seen = Observation.room("best-2", 5)
     kept = Seen(contract, 4)
     seen.ego[:] = rng.normal(size=seen.ego.shape)
     seen.reference[:] = rng.normal(size=(5, 3))

@@ -40,7 +40,7 @@ def test_a_card_says_which_file_it_is_about_and_how_it_was_judged(tmp_path: Path
     page = card(known, [])
     said = section(page, "Model")
     assert f"sha256 {known.sha256}" in said
-    assert "| Contract | best-1 |" in said
+    assert "| Contract | best-2 |" in said
     assert "max_speed_mps 2" in said
     assert "| pillars_5m_8 | policy | 8 | 40 | 97.5 | 1.75 | 1.5 | 0.93 |" in section(page, "At export")
     assert "No campaign has been flown" in page

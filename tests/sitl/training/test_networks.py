@@ -16,13 +16,13 @@ def observed(contract: str, batch: int, seed: int = 0) -> dict[str, torch.Tensor
     return {**seen, "privileged": torch.rand((batch, TRUTH), generator=random)}
 
 
-def built(contract: str = "best-1", **settings: object) -> tuple[FollowerActor, FollowerCritic]:
+def built(contract: str = "best-2", **settings: object) -> tuple[FollowerActor, FollowerCritic]:
     return build(contract, NetworkSettings.model_validate(settings), TRUTH, seed=3)
 
 
 def test_an_untrained_residual_policy_says_exactly_what_flock_says() -> None:
     actor, _ = built()
-    seen = observed("best-1", 50)
+    seen = observed("best-2", 50)
     reference = torch.rand(50, 3) * 4.0 - 2.0
     seen["ego"][:, 10:13] = reference / 2.0
     assert torch.equal(actor(seen), reference)
@@ -35,7 +35,7 @@ def test_an_untrained_direct_policy_hardly_moves() -> None:
 
 @pytest.mark.parametrize(
     ("contract", "kind", "action"),
-    [("best-1", "best", "residual"), ("best-1", "best", "direct"), ("paper-1", "paper", "direct")],
+    [("best-2", "best", "residual"), ("best-2", "best", "direct"), ("paper-1", "paper", "direct")],
 )
 def test_the_exported_policy_is_the_actor(contract: str, kind: str, action: str) -> None:
     actor, critic = built(contract, kind=kind, action=action)
@@ -95,7 +95,7 @@ def test_neighbours_come_in_any_order_and_absent_rows_say_nothing() -> None:
 
 def test_what_was_hit_follows_from_nearness() -> None:
     actor, critic = built()
-    seen = observed("best-1", 6)
+    seen = observed("best-2", 6)
     both, one = seen, {**seen, "grid": seen["grid"][:, :1]}
     assert torch.equal(actor(both), actor(one))
     assert torch.equal(critic(both), critic(one))
@@ -103,7 +103,7 @@ def test_what_was_hit_follows_from_nearness() -> None:
 
 def test_values_stay_when_their_scale_moves() -> None:
     _, critic = built()
-    seen = observed("best-1", 40)
+    seen = observed("best-2", 40)
     returns = torch.randn(1000, generator=torch.Generator().manual_seed(2))
     critic.follow_scale(returns * 10.0 + 300.0)
     before = critic(seen)
