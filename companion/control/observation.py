@@ -102,11 +102,6 @@ class Observation:
         self.memory: Float32Array = np.zeros((batch, *contract.memory), np.float32)
 
     @property
-    def keeping(self) -> int:
-        """For `overrule`: 1 if the law's limits hold for what the model says, 0 if not."""
-        return 0 if self.law is None else 1
-
-    @property
     def inputs(self) -> dict[str, Float32Array]:
         """The same arrays under the names of the model's inputs."""
         arrays = {"ego": self.ego, "neighbours": self.neighbours, "grid": self.grid}

@@ -25,11 +25,11 @@ class Interrupted(PointMass):
         super().__init__(streams, seed)
         self.steps = 0
 
-    def step(self, velocity):  # type: ignore[no-untyped-def]
+    def step(self, velocity, *, is_shown=True):  # type: ignore[no-untyped-def]
         self.steps += 1
         if self.steps == 6:
             os.kill(os.getpid(), signal.SIGINT)
-        return super().step(velocity)
+        return super().step(velocity, is_shown=is_shown)
 
 
 @pytest.fixture
