@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 
+import hypothesis
 import pytest
 import structlog
 
@@ -23,6 +24,11 @@ _ONE_AT_A_TIME = frozenset(
         "test_wire",
     }
 )
+
+
+# Timing never decides a test.
+hypothesis.settings.register_profile("companion", deadline=None)
+hypothesis.settings.load_profile("companion")
 
 
 def pytest_configure(config: pytest.Config) -> None:

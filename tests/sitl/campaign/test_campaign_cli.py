@@ -277,7 +277,7 @@ def test_trials_of_another_version_are_neither_continued_nor_flown_again(
     assert "0.0.1+abc" in result["error"]
 
 
-STOPPED = ["--trials", "40", "--worlds", "none", "--methods", "flock"]
+STOPPED = ["--trials", "150", "--worlds", "none", "--methods", "flock"]
 
 
 @pytest.fixture(scope="module")
@@ -305,13 +305,13 @@ def test_a_stopped_campaign_goes_on_to_the_same_result(
     with child.stderr as lines:
         for line in lines:
             # The second line of progress: results have come, and most are still to come.
-            if " of 40 trials" in line and not line.startswith("Small: 0 "):
+            if " of 150 trials" in line and not line.startswith("Small: 0 "):
                 os.kill(child.pid, how)
                 break
         told = lines.read()
     code = child.wait()
     before = len((out / JOURNAL_NAME).read_bytes().splitlines())
-    assert 0 < before < 40
+    assert 0 < before < 150
     if how is signal.SIGINT:
         assert code == ExitCode.INTERRUPTED
         assert "the same command goes on from what is in" in told

@@ -43,9 +43,9 @@ def mixed_batch(seed: int = 1, workers: int = 1, **changes: Any) -> SwarmBatch:
     return SwarmBatch(settings, "best-2", seed, workers, bank=mixed_bank())
 
 
-def open_batch(seed: int = 1, **changes: Any) -> SwarmBatch:
+def open_batch(seed: int = 1, contract: str = "best-2", **changes: Any) -> SwarmBatch:
     """Return an environment with one swarm of four followers without obstacles."""
-    return SwarmBatch(OPEN.model_copy(update=changes), "best-2", seed, bank=open_bank())
+    return SwarmBatch(OPEN.model_copy(update=changes), contract, seed, bank=open_bank())
 
 
 def flown(batch: SwarmBatch, steps: int, velocity: Float32Array | None = None) -> StepResult:

@@ -20,6 +20,8 @@ from sitl.training.reward_settings import RewardSettings
 from tests.sitl.training.small_batch import MIXED, SHORT, copied, flown, mixed_bank, mixed_batch, open_batch
 
 _SPEED_MPS = 2.0
+_UNHELD = "paper-1"
+"""What a policy of this contract says is not held to what flock allows: it may collide."""
 _COLLISION, _LOSS = TERMS.index("collision"), TERMS.index("loss")
 
 
@@ -163,7 +165,7 @@ def test_another_update_begins_other_trials_and_the_same_one_the_same() -> None:
 
 
 def test_a_collision_ends_the_life_of_those_in_it_and_only_the_trial_of_the_others() -> None:
-    batch = open_batch(reward=RewardSettings(collision=25.0))
+    batch = open_batch(contract=_UNHELD, reward=RewardSettings(collision=25.0))
     batch.reset()
     for _ in range(200):
         result = batch.step(_towards_leader(batch, 2))
@@ -245,7 +247,7 @@ def test_terms_of_smoothness_and_residual_are_squares_of_differences() -> None:
 
 
 def test_a_crash_is_flown_again_from_some_time_before() -> None:
-    batch = open_batch(replay=ReplaySettings(share=0.95, before_s=1.0, uses=50))
+    batch = open_batch(contract=_UNHELD, replay=ReplaySettings(share=0.95, before_s=1.0, uses=50))
     batch.reset()
     begun: list[tuple[EpisodeSummary, int, bool]] = []
     for _ in range(40):
