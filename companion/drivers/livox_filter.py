@@ -5,9 +5,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from companion.drivers.livox_packets import DecodedPoints
+from companion.drivers import livox_kernels as kernels
+from companion.drivers.livox_packets import (
+    HEADER_SIZE,
+    LENGTH_UNITS_M,
+    MAX_SLOTS_PER_PACKET,
+    TIME_INTERVAL_UNIT_NS,
+    DataType,
+    DecodedPoints,
+)
 from companion.drivers.livox_settings import LivoxSettings, TagPolicy
-from companion.messages import PointArray
+from companion.messages import ByteArray, PointArray
 
 LOW_CONFIDENCE = 2
 _TAG_FIELD_SHIFTS = (0, 2, 4)
@@ -74,6 +82,37 @@ class PointFilter:
             counts.self_masked += n_before - indices.size
         counts.points += indices.size
         return indices
+
+    def keep_usual(self, packets: ByteArray, base_ns: int, period_ns: int) -> DecodedPoints:
+        """Decode the slots that become points, as `decode_points` and `keep` do but in one go.
+
+        Args:
+            packets: (n, MAX_PACKET_SIZE) checked packets, each of 96 slots of 32 bit coordinates.
+            base_ns: sensor time from which slot times count.
+            period_ns: slots of a scan lie within this time of it.
+        """
+        counts, most = self.counts, len(packets) * MAX_SLOTS_PER_PACKET
+        points, t_ns = np.empty((most, 3), np.float32), np.empty(most, np.int32)
+        reflectivity, tags = np.empty(most, np.uint8), np.empty(most, np.uint8)
+        became = np.empty(kernels.N_COUNTS, np.int64)
+        n = kernels.keep_cartesian(
+            packets, HEADER_SIZE, MAX_SLOTS_PER_PACKET, TIME_INTERVAL_UNIT_NS, base_ns, period_ns,
+            LENGTH_UNITS_M[DataType.CARTESIAN_32], float(self._min_squared), float(self._max_squared),
+            self._tag_is_kept, points, t_ns, reflectivity, tags, became,
+        )  # fmt: skip
+        counts.slots += int(became[kernels.INSIDE])
+        counts.no_return += int(became[kernels.NO_RETURN])
+        counts.too_near += int(became[kernels.TOO_NEAR])
+        counts.too_far += int(became[kernels.TOO_FAR])
+        counts.low_confidence += int(became[kernels.LOW_CONFIDENCE])
+        kept: slice | NDArray[np.intp] = slice(n)
+        if self._boxes.size:
+            squared = np.einsum("ij,ij->i", points[:n], points[:n])
+            kept = self._outside_boxes(points, squared, np.arange(n))
+            counts.self_masked += n - kept.size
+            n = kept.size
+        counts.points += n
+        return DecodedPoints(points, reflectivity, tags, t_ns).chosen(kept)
 
     def _outside_boxes(
         self, points: PointArray, squared: NDArray[np.float32], indices: NDArray[np.intp]

@@ -17,6 +17,7 @@ from companion.drivers.livox_packets import (
     SLOT_PERIOD_NS,
     ChecksumError,
     DataType,
+    DecodedPoints,
     PacketHeader,
     parse_header,
     parse_inertial,
@@ -233,13 +234,7 @@ class LivoxReceiver:
         if not len(self._ring):
             return []
         start_ns = frame * self._period_ns
-        decoded = self._ring.decode(start_ns)
-        inside = (decoded.t_ns >= 0) & (decoded.t_ns < self._period_ns)
-        kept = self._filter.keep(decoded, inside)
-        offsets_ns = decoded.t_ns[kept].astype(np.int32)
-        if np.any(offsets_ns[1:] < offsets_ns[:-1]):
-            order = np.argsort(offsets_ns, kind="stable")
-            kept, offsets_ns = kept[order], offsets_ns[order]
+        points = self._kept(start_ns)
         packets, expected = len(self._ring), self._expected_packets(start_ns)
         self._ring.clear()
         self._scans += 1
@@ -250,14 +245,27 @@ class LivoxReceiver:
                 t_sensor_start_ns=start_ns,
                 t_sensor_end_ns=start_ns + self._period_ns,
                 clock_offset_ns=self._clock.offset_ns,
-                points_lidar=decoded.points_lidar[kept],
-                offsets_ns=offsets_ns,
-                reflectivity=decoded.reflectivity[kept],
-                tags=decoded.tags[kept],
+                points_lidar=points.points_lidar,
+                offsets_ns=points.t_ns.astype(np.int32, copy=False),
+                reflectivity=points.reflectivity,
+                tags=points.tags,
                 packets=packets,
                 packets_expected=expected,
             )
         ]
+
+    def _kept(self, start_ns: int) -> DecodedPoints:
+        """Return the slots of the packets held that become points of the scan, by time after its start."""
+        rows = self._ring.usual_rows
+        if rows is not None:
+            points = self._filter.keep_usual(rows, start_ns, self._period_ns)
+        else:
+            decoded = self._ring.decode(start_ns)
+            inside = (decoded.t_ns >= 0) & (decoded.t_ns < self._period_ns)
+            points = decoded.chosen(self._filter.keep(decoded, inside))
+        if np.any(points.t_ns[1:] < points.t_ns[:-1]):
+            points = points.chosen(np.argsort(points.t_ns, kind="stable"))
+        return points
 
     def _expected_packets(self, start_ns: int) -> int:
         """Return how many packets with the phase and length of the first one touch the frame."""

@@ -102,7 +102,16 @@ class DecodedPoints:
     points_lidar: PointArray
     reflectivity: ByteArray
     tags: ByteArray
-    t_ns: NDArray[np.int64]
+    t_ns: NDArray[np.integer]
+
+    def chosen(self, indices: NDArray[np.intp] | slice) -> "DecodedPoints":
+        """Return a copy of some of them."""
+        return DecodedPoints(
+            self.points_lidar[indices].copy(),
+            self.reflectivity[indices].copy(),
+            self.tags[indices].copy(),
+            self.t_ns[indices].copy(),
+        )
 
 
 class ChecksumError(ProtocolError):

@@ -4,10 +4,13 @@ import numpy as np
 
 from companion.drivers.livox_packets import (
     MAX_PACKET_SIZE,
+    MAX_SLOTS_PER_PACKET,
+    DataType,
     DecodedPoints,
     PacketHeader,
     decode_points,
 )
+from companion.messages import ByteArray
 
 
 class PacketRing:
@@ -39,6 +42,14 @@ class PacketRing:
             self._sorted = False
         self._headers.append(header)
         return True
+
+    @property
+    def usual_rows(self) -> ByteArray | None:
+        """All packets (n, MAX_PACKET_SIZE) if full, of 32 bit coordinates and in order; else None."""
+        usual = (DataType.CARTESIAN_32, MAX_SLOTS_PER_PACKET)
+        if not self._sorted or any((header.data_type, header.slots) != usual for header in self._headers):
+            return None
+        return self._rows[: len(self._headers)]
 
     def clear(self) -> None:
         """Forget all packets."""

@@ -2,8 +2,10 @@ import numpy as np
 import pytest
 
 from companion.drivers.livox_filter import PointFilter, kept_tags
-from companion.drivers.livox_packets import DecodedPoints
+from companion.drivers.livox_packets import DataType, DecodedPoints, decode_points
 from companion.drivers.livox_settings import LivoxSettings, MaskBox, TagPolicy
+from sitl.livox_stream import encode_points
+from sitl.slots import PointSlots
 
 BOX = MaskBox(x_min_m=-0.5, x_max_m=0.5, y_min_m=0.4, y_max_m=0.8, z_min_m=-0.2, z_max_m=0.1)
 
@@ -56,6 +58,28 @@ def test_each_slot_is_counted_once_and_by_the_first_reason_that_applies(policy: 
         expected_count = sum(inside[i] and verdicts[i] == word for i in range(4_000))
         assert getattr(counts, word) == expected_count
         assert expected_count > 0 or (word, policy) == ("low_confidence", "all")
+
+
+@pytest.mark.parametrize("policy", ["all", "not_low", "only_high"])
+def test_usual_packets_decoded_in_one_go_give_the_same_points_and_counts(policy: TagPolicy) -> None:
+    settings = LivoxSettings(tag_policy=policy, max_range_m=3.0, self_mask=(BOX,))
+    rng = np.random.default_rng(2)
+    n = 40 * 96
+    points = rng.uniform(-1.0, 1.0, (n, 3)) * rng.choice([0.0, 0.4, 1.0, 3.0, 1e9], (n, 1))
+    tags = rng.integers(0, 256, n) * (rng.random(n) < 0.3)
+    slots = PointSlots(1_000, points, rng.integers(0, 256, n).astype(np.uint8), tags.astype(np.uint8))
+    payloads = encode_points(slots, DataType.CARTESIAN_32, 0, 0)
+    packets = np.stack([np.frombuffer(payload, np.uint8) for payload in payloads])
+    packets[::3, 3] ^= 37  # other spans, so other times between slots
+    base_ns, period_ns = 1_200 * 5_000, 10_000_000
+    slow, quick = PointFilter(settings), PointFilter(settings)
+    every = decode_points(packets, base_ns)
+    expected = every.chosen(slow.keep(every, (every.t_ns >= 0) & (every.t_ns < period_ns)))
+    kept = quick.keep_usual(packets, base_ns, period_ns)
+    assert 100 < len(kept.t_ns) < n / 2
+    for name in ("points_lidar", "reflectivity", "tags", "t_ns"):
+        np.testing.assert_array_equal(getattr(kept, name), getattr(expected, name))
+    assert quick.counts == slow.counts
 
 
 def test_the_usual_tags_of_real_recordings_are_kept_or_dropped_as_documented() -> None:
