@@ -5,15 +5,24 @@ import numpy as np
 from companion.compiled import compiled
 from companion.messages import ByteArray, FloatArray
 
+COUNTER_AT = 7
+STAMP_AT = 28
+"""Where the header of a packet has its counter (16 bits) and its stamp (64 bits)."""
+
 _LOWEST, _HIGHEST = -(2.0**31), 2.0**31 - 1.0
 
 
-@compiled("void(float64[:, ::1], uint8[::1], uint8[::1], int64, float64, uint8[:, ::1])")
+@compiled(
+    "void(float64[:, ::1], uint8[::1], uint8[::1], uint8[::1], int64, int64, int64, float64, uint8[:, ::1])"
+)
 def write_cartesian(
     points_lidar: FloatArray,
     reflectivity: ByteArray,
     tags: ByteArray,
-    header_size: int,
+    header: ByteArray,
+    counter: int,
+    first_ns: int,
+    period_ns: int,
     unit_m: float,
     packets: ByteArray,
 ) -> None:
@@ -23,11 +32,23 @@ def write_cartesian(
         points_lidar: (n * k, 3) metres.
         reflectivity: (n * k,).
         tags: (n * k,).
-        header_size: bytes before the first slot of a packet.
+        header: (h,) what all packets begin with; counter and stamp are written over it.
+        counter: of the first packet.
+        first_ns: stamp of the first packet.
+        period_ns: from one stamp to the next.
         unit_m: length that counts as one.
-        packets: (n, header_size + 14 * k) out; headers stay as they are.
+        packets: (n, h + 14 * k) out; checksums are left to others.
     """
+    header_size = header.shape[0]
     slots = (packets.shape[1] - header_size) // 14
+    for n in range(packets.shape[0]):
+        for at in range(header_size):
+            packets[n, at] = header[at]
+        for byte in range(2):
+            packets[n, COUNTER_AT + byte] = ((counter + n) >> (8 * byte)) & 0xFF
+        stamp_ns = first_ns + n * period_ns
+        for byte in range(8):
+            packets[n, STAMP_AT + byte] = (stamp_ns >> (8 * byte)) & 0xFF
     for i in range(points_lidar.shape[0]):
         packet, at = packets[i // slots], header_size + 14 * (i % slots)
         for axis in range(3):

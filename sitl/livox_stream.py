@@ -2,6 +2,7 @@
 
 import struct
 import zlib
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,7 @@ from companion.drivers.livox_packets import (
     TIME_INTERVAL_UNIT_NS,
     DataType,
 )
-from companion.messages import FloatArray
+from companion.messages import ByteArray, FloatArray
 from sitl.array_layout import laid_out
 from sitl.livox_kernels import write_cartesian
 from sitl.slots import SLOT_PERIOD_NS, SLOTS_PER_PACKET, InertialSlot, PointSlots
@@ -51,38 +52,43 @@ def encode_points(
     if total % SLOTS_PER_PACKET:
         raise ValueError(f"{total} slots do not fill packets of {SLOTS_PER_PACKET}")
     n = total // SLOTS_PER_PACKET
-    packet_dtype = _PACKET_DTYPES[data_type]
-    packets = np.zeros(n, dtype=packet_dtype)
-    header = packets["header"]
-    steps = np.arange(n, dtype=np.int64)
-    header["length"] = packet_dtype.itemsize
-    header["time_interval"] = TIME_INTERVAL
-    header["dot_num"] = SLOTS_PER_PACKET
-    header["udp_cnt"] = (counter + steps) & 0xFFFF
-    header["data_type"] = data_type
-    header["time_type"] = time_type
-    first_slots = slots.first_slot + steps * SLOTS_PER_PACKET
-    header["timestamp"] = first_slots * SLOT_PERIOD_NS + clock_error_ns
-    size = packet_dtype.itemsize
-    starts = range(0, n * size, size)
+    size = _PACKET_DTYPES[data_type].itemsize
+    first_ns = slots.first_slot * SLOT_PERIOD_NS + clock_error_ns
+    packets = np.zeros((n, size), np.uint8)
+    fields = packets.view(_PACKET_DTYPES[data_type])[:, 0]
+    head = _header(data_type, time_type)
     if data_type is DataType.CARTESIAN_32:
         write_cartesian(
-            laid_out(slots.points_lidar),
-            laid_out(slots.reflectivity, np.uint8),
-            laid_out(slots.tags, np.uint8),
-            HEADER_SIZE,
-            LENGTH_UNITS_M[data_type],
-            packets.view(np.uint8).reshape(n, size),
-        )
+            laid_out(slots.points_lidar), laid_out(slots.reflectivity, np.uint8),
+            laid_out(slots.tags, np.uint8), head, counter, first_ns, SLOTS_PER_PACKET * SLOT_PERIOD_NS,
+            LENGTH_UNITS_M[data_type], packets,
+        )  # fmt: skip
     else:
-        points = packets["points"]
+        steps = np.arange(n, dtype=np.int64)
+        packets[:, :HEADER_SIZE] = head
+        fields["header"]["udp_cnt"] = (counter + steps) & 0xFFFF
+        fields["header"]["timestamp"] = first_ns + steps * (SLOTS_PER_PACKET * SLOT_PERIOD_NS)
+        points = fields["points"]
         _fill(points, slots.points_lidar.reshape(n, SLOTS_PER_PACKET, 3), data_type)
         points["reflectivity"] = slots.reflectivity.reshape(n, SLOTS_PER_PACKET)
         points["tag"] = slots.tags.reshape(n, SLOTS_PER_PACKET)
-    checked = packets.view(np.uint8).data
-    header["crc32"] = [zlib.crc32(checked[at + _CHECKED_FROM : at + size]) for at in starts]
+    checked = packets.reshape(-1).data
+    starts = range(0, n * size, size)
+    fields["header"]["crc32"] = [zlib.crc32(checked[at + _CHECKED_FROM : at + size]) for at in starts]
     content = packets.tobytes()
     return [content[at : at + size] for at in starts]
+
+
+@lru_cache(maxsize=16)
+def _header(data_type: DataType, time_type: int) -> ByteArray:
+    """Return what the packets of one format begin with; all but counter, stamp and checksum."""
+    header = np.zeros(1, HEADER_DTYPE)
+    header["length"] = _PACKET_DTYPES[data_type].itemsize
+    header["time_interval"] = TIME_INTERVAL
+    header["dot_num"] = SLOTS_PER_PACKET
+    header["data_type"] = data_type
+    header["time_type"] = time_type
+    return header.view(np.uint8)
 
 
 def encode_inertial(slot: InertialSlot, counter: int, time_type: int, clock_error_ns: int = 0) -> bytes:
