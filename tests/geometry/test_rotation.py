@@ -78,3 +78,19 @@ def test_batches_equal_single_results() -> None:
 def test_a_quaternion_without_direction_is_refused(q: list[float]) -> None:
     with pytest.raises(ValueError, match="finite and not zero"):
         rotation.normalize(q)
+
+
+@given(vectors, vectors)
+def test_single_rotations_have_the_bits_of_those_in_arrays(theta: FloatArray, v_b: FloatArray) -> None:
+    q = rotation.exp(theta)
+    other = rotation.exp(v_b)
+    pairs = [
+        (q, rotation.exp(theta[None])[0]),
+        (rotation.multiply(q, other), rotation.multiply(q[None], other[None])[0]),
+        (rotation.rotate(q, v_b), rotation.rotate(q[None], v_b[None])[0]),
+        (rotation.to_matrix(q), rotation.to_matrix(q[None])[0]),
+        (rotation.from_yaw(theta[2]), rotation.from_yaw(theta[2:])[0]),
+        (rotation.yaw_of(q), rotation.yaw_of(q[None])[0]),
+    ]
+    for alone, in_array in pairs:
+        assert alone.tobytes() == in_array.tobytes()
