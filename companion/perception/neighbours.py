@@ -18,8 +18,9 @@ class NeighbourSettings(Settings):
     """The nearest so many."""
     compensate_latency: bool = True
     """Predict neighbours and own pose to now; otherwise both as they were when the scan ended."""
-    max_age_s: float = Field(default=0.5, gt=0.0, le=10.0)
-    """A neighbour unseen for longer is left out; until then it keeps its place, carried on."""
+    max_age_s: float = Field(default=2.0, gt=0.0, le=10.0)
+    """A neighbour unseen for longer is left out; until then it keeps its place, carried on, while the tracker
+    relies on it."""
 
 
 class NeighbourView:

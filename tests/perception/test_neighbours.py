@@ -67,11 +67,11 @@ def test_the_nearest_come_first_and_the_rest_is_left_out() -> None:
 
 
 def test_candidates_are_not_seen_and_neighbours_unseen_for_long_neither() -> None:
-    tracks = track(1, (6, 5, 2), validated=False), track(2, (7, 5, 2), seen_ns=SCAN_NS - 450 * MS)
+    tracks = track(1, (6, 5, 2), validated=False), track(2, (7, 5, 2), seen_ns=SCAN_NS - 1950 * MS)
     view = view_of(*tracks)
     soon, late = view.at(EGO, SCAN_NS + 40 * MS), view.at(EGO, SCAN_NS + 60 * MS)
     assert soon.track_ids.tolist()[:2] == [2, -1]
-    assert soon.ages_s[0] == pytest.approx(0.49)
+    assert soon.ages_s[0] == pytest.approx(1.99)
     assert late.track_ids.tolist()[0] == -1
 
 

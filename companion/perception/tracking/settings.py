@@ -99,8 +99,15 @@ class TrackingSettings(Settings):
     """...or this, when a lost one is found again."""
     inactive_s: float = Field(default=0.5, gt=0.0, le=10.0)
     """t_inactive: an unobserved track is carried on as current for this long."""
+    awaited_s: float = Field(default=3.0, ge=0.0, le=30.0)
+    """A validated one that was lost is known again by any free body of its size where it is expected, tape
+    in view or not, for this long; 0: never."""
     max_coast_sigma_m: float = Field(default=0.125, gt=0.0, le=20.0)
     """Unobserved, it is relied on only while no standard deviation of its position exceeds this."""
+    hidden_s: float = Field(default=2.0, ge=0.0, le=30.0)
+    """One that left the field of view, or is hidden by something nearer, is relied on for this long..."""
+    max_hidden_sigma_m: float = Field(default=0.75, gt=0.0, le=20.0)
+    """...while no standard deviation exceeds this: roughly where somebody flies is better than nothing."""
     last_seen_s: float = Field(default=10.0, ge=0.0, le=30.0)
     """A validated one stays for this much longer as 'last seen' and takes its number up again when found."""
     same_body_m: float = Field(default=0.5, gt=0.0, le=5.0)
@@ -155,6 +162,8 @@ class TrackingSettings(Settings):
     """...and least number of updates in a row."""
     off_s: float = Field(default=2.0, ge=0.0, le=60.0)
     """A validated neighbour may show no tape for this long, as when it is seen edge-on."""
+    off_in_part_s: float = Field(default=6.0, ge=0.0, le=60.0)
+    """...and for this long while a part of it is hidden, or beyond the edge of the field of view."""
     scan_period_s: float = Field(default=0.1, gt=0.0, le=1.0)
     """Time between scans."""
     proof_of_flight: bool = True
@@ -198,7 +207,7 @@ class TrackingSettings(Settings):
         return cls(
             max_range_m=10.0, roi_sigmas=0.0, epsilon_spacings=0.0, core_points=1, sparse_updates=False,
             streaks=False, size_gate=False, body_centre=False, association=Association.GREEDY,
-            max_coast_sigma_m=20.0, last_seen_s=0.0,
-            max_bright_share=1.0, share_memory=0.0, off_s=0.0, min_on_updates=1, proof_of_flight=False,
-            acceleration_fading_s=0.0, acceleration_density=1.0,
+            max_coast_sigma_m=20.0, last_seen_s=0.0, awaited_s=0.0, hidden_s=0.0,
+            max_bright_share=1.0, share_memory=0.0, off_s=0.0, off_in_part_s=0.0, min_on_updates=1,
+            proof_of_flight=False, acceleration_fading_s=0.0, acceleration_density=1.0,
         )  # fmt: skip

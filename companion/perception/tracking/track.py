@@ -77,9 +77,10 @@ class Track:
         self.t_born_ns = t_ns
         self.known = False  # whether it was ever taken for a UAV
         self.expected = False  # whether it came into sight where one that was lost might have
+        self.hidden = True  # whether all the time since it was last seen there was a reason not to see it
         self._settings = settings
         self._begin(t_ns, cluster, z_map, R)
-        self.judge()
+        self.judge(whole=False)
 
     def _begin(self, t_ns: int, cluster: Cluster, z_map: FloatArray, R: FloatArray) -> None:
         settings = self._settings
@@ -112,6 +113,10 @@ class Track:
     def is_known_when_dim(self) -> bool:
         """Return whether it is a UAV, or probably one that was lost."""
         return self.proof.validated or (self.expected and self.proof.free >= 0.0)
+
+    def is_awaited(self, t_ns: int) -> bool:
+        """Return whether it is a UAV that was lost a short while ago."""
+        return self.proof.validated and self.unseen_s(t_ns) <= self._settings.awaited_s
 
     @property
     def is_still(self) -> bool:
@@ -150,7 +155,7 @@ class Track:
             R: (3, 3) see `measurement`.
         """
         self.motion.update(z_map, R, cluster.age_s)
-        self.t_seen_ns = t_ns
+        self.t_seen_ns, self.hidden = t_ns, True
         self._newest = cluster
 
     def expects(self, z_map: FloatArray, R: FloatArray) -> bool:
@@ -178,9 +183,9 @@ class Track:
         )
         self.proof.look_around(counts, expected, resolved)
 
-    def judge(self) -> None:
-        """Decide anew whether it is a UAV, after an observation."""
-        self.proof.judge(self._newest.points, self._newest.bright, self.motion)
+    def judge(self, *, whole: bool) -> None:
+        """Decide anew whether it is a UAV, after an observation of the whole body or of a part."""
+        self.proof.judge(self._newest.points, self._newest.bright, self.motion, whole=whole)
         if self.proof.validated:
             self.motion.distinguish()
 
@@ -190,7 +195,10 @@ class Track:
         if not self.proof.validated or self.t_seen_ns == t_ns:
             return self.proof.validated
         spread = float(np.linalg.eigvalsh(self.motion.cautious_covariance[:3, :3])[-1])
-        return self.unseen_s(t_ns) <= settings.inactive_s + 0.01 and spread <= settings.max_coast_sigma_m**2
+        unseen_s = self.unseen_s(t_ns)
+        if self.hidden and unseen_s <= settings.hidden_s and spread <= settings.max_hidden_sigma_m**2:
+            return True
+        return unseen_s <= settings.inactive_s + 0.01 and spread <= settings.max_coast_sigma_m**2
 
     def message(self, t_ns: int) -> NeighbourTrack:
         """Return it as others see it at the end of a scan."""

@@ -14,31 +14,27 @@ from scipy.special import chdtri
 from companion.clock import NANOSECONDS_PER_SECOND
 from companion.geometry.pose import Pose
 from companion.messages import FloatArray, NeighbourTracks, Odometry, OdometryStatus, RegisteredScan
-from companion.perception.tracking import region_kernels
 from companion.perception.tracking.association import gated_costs, global_pairs, greedy_pairs
-from companion.perception.tracking.body import whole_body_points
 from companion.perception.tracking.clustering import (
     Cluster,
+    FilteredPoints,
     describe,
     find_clusters,
     is_enough,
     is_small,
     trim,
 )
-from companion.perception.tracking.filtering import ScanStack, StackedPoints
+from companion.perception.tracking.filtering import ScanStack
 from companion.perception.tracking.fixtures import Fixtures
-from companion.perception.tracking.regions import Regions, RegionSearch
+from companion.perception.tracking.regions import RegionSearch
 from companion.perception.tracking.settings import Association, Tape, TrackingSettings
+from companion.perception.tracking.sight import Measured, Sight
 from companion.perception.tracking.smear import Velocities, straighten
-from companion.perception.tracking.track import Track, measurement
+from companion.perception.tracking.track import Track
 from companion.perception.tracking.validation import Surroundings
-
-Measured = tuple[FloatArray, FloatArray]
-"""Position of a body's centre (3,), m, and its covariance (3, 3)."""
 
 _USABLE = (OdometryStatus.TRACKING, OdometryStatus.DEGRADED)
 _LEAST_POINTS = 2
-_SOLID_SHARE = 0.3  # points around a body, for each one on it, above which dim points are not its own
 
 
 class NeighbourTracker:
@@ -79,6 +75,8 @@ class NeighbourTracker:
                 self._look(scan)
             else:
                 self._stack.clear()
+                for track in self._tracks:
+                    track.hidden = False
             self._bury()
         t_ns = odometry.t_ns if self._t_ns is None else self._t_ns
         return NeighbourTracks(t_ns, scan.sequence, tuple(track.message(t_ns) for track in self._tracks))
@@ -104,41 +102,65 @@ class NeighbourTracker:
         odometry, t_ns = scan.odometry, scan.odometry.t_ns
         sensor = (Pose(odometry.p_map, odometry.q_map_body) @ self._T_body_lidar).p
         stack = self._stack.add(scan, t_ns, sensor)
+        sight = Sight(self._settings, self._search, self._surroundings, stack, odometry, sensor)
         current = [track for track in self._tracks if self._is_current(track)]
         lost = [track for track in self._tracks if not self._is_current(track)]
-        points = self._search.filtered(stack, current, sensor)
-        labels = find_clusters(points, sensor, self._settings)
-        trusted = np.array([track.proof.validated for track in current], np.bool_)
-        trim(labels, points, trusted, self._settings)
-        settled = np.array([track.is_settled for track in current], np.bool_)
-        velocities: Velocities = {}
-        if self._settings.streaks:
-            points, velocities = straighten(labels, points, settled)
-        clusters = describe(labels, points, sensor, velocities)
-        clusters = [cluster for cluster in clusters if self._is_plausible(cluster)]
-        shaded = self._shaded(clusters, stack, sensor)
-        measured = self._measured(clusters, shaded, odometry, sensor)
-        solid = self._solid(clusters, measured, shaded, stack, current, sensor)
-        matches = self._matches(current, clusters, measured, solid)
-        for track, j in matches:
+        awaited = [track for track in lost if track.is_awaited(t_ns)]
+        watched = current + awaited
+        points = self._search.filtered(stack, watched, sensor)
+        clusters = self._clusters(points, watched, sensor)
+        shaded = sight.shaded(clusters)
+        measured = sight.measured(clusters, shaded)
+        dim = np.array([cluster.bright == 0 for cluster in clusters], np.bool_)
+        asked = range(len(clusters)) if awaited else np.flatnonzero(dim).tolist()
+        attached = sight.attached(asked, clusters, measured, shaded, watched)
+        free = list(range(len(clusters)))
+        for track, j in self._matches(current, clusters, measured, attached & dim):
             track.observe(t_ns, clusters[j], *measured[j])
-        taken = {j for _, j in matches}
-        free = [j for j in range(len(clusters)) if j not in taken]
-        seen = np.array([track.motion.p_map for track in self._tracks if track.t_seen_ns == t_ns])
+            free.remove(j)
+        alone = [j for j in free if self._is_alone(measured[j][0])]
+        for track, j in self._returns(awaited, clusters, measured, [j for j in alone if not attached[j]]):
+            track.observe(t_ns, clusters[j], *measured[j])
+            alone.remove(j)
+            lost.remove(track)
         begun = [
             (j, before)
-            for j in free
-            if self._may_begin(clusters[j], measured[j][0], seen.reshape(-1, 3))
+            for j in alone
+            if self._may_begin(clusters[j]) and self._is_alone(measured[j][0])
             for before in [self._missing(lost, measured[j])]
             # Of one who is missing fewer points will do.
             if is_enough(clusters[j], self._settings)
             or (before is not None and clusters[j].points >= _LEAST_POINTS)
         ]
-        self._judge([track for track in self._tracks if track.t_seen_ns == t_ns], stack, odometry, sensor)
+        self._judge([track for track in self._tracks if track.t_seen_ns == t_ns], sight)
         self._recognise()
         for j, before in begun[: self._room()]:
             self._begin(t_ns, clusters[j], measured[j], before)
         self._merge(t_ns)
+        unseen = [track for track in self._tracks if track.t_seen_ns < t_ns]
+        for track, hidden in zip(unseen, sight.hidden(unseen), strict=True):
+            track.hidden &= hidden
+
+    def _clusters(
+        self, points: FilteredPoints, watched: list[Track], sensor_map: FloatArray
+    ) -> list[Cluster]:
+        """Return the clusters that may be UAVs, those of tracks first cut out of what they touch."""
+        labels = find_clusters(points, sensor_map, self._settings)
+        trusted = np.array([track.proof.validated for track in watched], np.bool_)
+        trim(labels, points, trusted, self._settings)
+        settled = np.array([track.is_settled for track in watched], np.bool_)
+        velocities: Velocities = {}
+        if self._settings.streaks:
+            points, velocities = straighten(labels, points, settled)
+        clusters = describe(labels, points, sensor_map, velocities)
+        return [cluster for cluster in clusters if self._is_plausible(cluster)]
+
+    def _judge(self, seen: list[Track], sight: Sight) -> None:
+        """Let the tracks seen now gather evidence, and decide which are UAVs."""
+        if seen and self._settings.proof_of_flight:
+            sight.look_around(seen)
+        for track, part in zip(seen, sight.hidden(seen), strict=True):
+            track.judge(whole=not part)
 
     def _missing(self, lost: list[Track], measured: Measured) -> Track | None:
         """Return which of the lost ones might well have come into sight here, the one lost last."""
@@ -176,15 +198,18 @@ class NeighbourTracker:
         enough = self._settings.sparse_updates or is_enough(cluster, self._settings)
         return cluster.fresh > 0 and enough and is_small(cluster, self._settings)
 
-    def _may_begin(self, cluster: Cluster, z_map: FloatArray, seen_map: FloatArray) -> bool:
-        """Return whether a cluster that belongs to no track seen now, at `seen_map`, may be another UAV."""
+    def _may_begin(self, cluster: Cluster) -> bool:
+        """Return whether a cluster may be another UAV."""
         settings = self._settings
         if cluster.points < _LEAST_POINTS and not is_enough(cluster, settings):
             return False
-        if settings.tape is Tape.REFLECTIVE and cluster.bright_share <= settings.bright_share:
-            return False
-        away = np.linalg.norm(seen_map - z_map, axis=1)
-        return bool(np.min(away, initial=np.inf) > settings.same_body_m)
+        return settings.tape is not Tape.REFLECTIVE or cluster.bright_share > settings.bright_share
+
+    def _is_alone(self, z_map: FloatArray) -> bool:
+        """Return whether no track that is seen now is so near to a place that both are one body."""
+        seen = np.array([track.motion.p_map for track in self._tracks if track.t_seen_ns == self._t_ns])
+        away = np.linalg.norm(seen.reshape(-1, 3) - z_map, axis=1)
+        return bool(np.min(away, initial=np.inf) > self._settings.same_body_m)
 
     def _matches(
         self,
@@ -214,6 +239,22 @@ class NeighbourTracker:
         rescued = self._pairs(missed, [measured[j] for j in left], [clusters[j].age_s for j in left], gate)
         return matches + [(missed[i], left[k]) for i, k in rescued]
 
+    def _returns(
+        self, awaited: list[Track], clusters: list[Cluster], measured: list[Measured], free: list[int]
+    ) -> list[tuple[Track, int]]:
+        """Return which lost neighbour has come back into sight as which cluster (index).
+
+        At the edge of the field of view, or of what hid it, its tape may not be the part that shows first.
+        """
+        offered = [
+            j
+            for j in free
+            if is_enough(clusters[j], self._settings) and self._fixtures.evidence(measured[j][0]) >= 0.0
+        ]
+        ages = [clusters[j].age_s for j in offered]
+        pairs = self._pairs(awaited, [measured[j] for j in offered], ages, self._gate)
+        return [(awaited[i], offered[k]) for i, k in pairs]
+
     def _pairs(
         self,
         tracks: list[Track],
@@ -239,70 +280,6 @@ class NeighbourTracker:
         if banned is not None:
             costs[banned] = np.inf
         return global_pairs(costs)
-
-    def _shaded(
-        self, clusters: list[Cluster], stack: StackedPoints, sensor_map: FloatArray
-    ) -> NDArray[np.bool_]:
-        """Return of which clusters something nearer may hide a part."""
-        return np.asarray(self._search.shaded(stack, _centres(clusters), sensor_map) > 0.0)
-
-    def _measured(
-        self, clusters: list[Cluster], shaded: NDArray[np.bool_], odometry: Odometry, sensor_map: FloatArray
-    ) -> list[Measured]:
-        settings = self._settings
-        factor = settings.degraded_factor if odometry.status is OdometryStatus.DEGRADED else 1.0
-        turn = math.radians(settings.ego_rotation_sigma_deg)
-        jitter = factor * settings.ego_position_sigma_m, factor * turn
-        hidden = shaded | self._surroundings.cut_off(_centres(clusters), sensor_map, odometry.q_map_body)
-        return [
-            measurement(cluster, sensor_map, bool(part), jitter, settings)
-            for cluster, part in zip(clusters, hidden, strict=True)
-        ]
-
-    def _solid(
-        self,
-        clusters: list[Cluster],
-        measured: list[Measured],
-        shaded: NDArray[np.bool_],
-        stack: StackedPoints,
-        current: list[Track],
-        sensor_map: FloatArray,
-    ) -> NDArray[np.bool_]:
-        """Return which clusters are but the visible part of something larger.
-
-        Without a bright point, and with more points around, it is not a UAV that is seen.
-        """
-        solid = np.zeros(len(clusters), np.bool_)
-        dim = [j for j, cluster in enumerate(clusters) if cluster.bright == 0]
-        if self._settings.size_gate and dim and current:
-            z = np.array([measured[j][0] for j in dim])
-            p = np.array([track.motion.p_map for track in current])
-            nearest = np.argmin(np.linalg.norm(z[:, None] - p, axis=2), axis=1)
-            velocities = np.array([track.motion.v_map for track in current])[nearest]
-            ages = np.array([[clusters[j].age_s] for j in dim])
-            bodies = Regions(z + ages * velocities, velocities, np.zeros(len(z)))
-            counts = self._search.survey(stack, bodies, nearest.tolist(), current, sensor_map)
-            around = counts[:, region_kernels.BELOW :].sum(axis=1)
-            solid[dim] = around > 1.0 + _SOLID_SHARE * counts[:, region_kernels.BODY]
-            # Little of a body behind an edge cannot be told from points that straddle that edge.
-            little = [
-                clusters[j].fresh < 0.5 * whole_body_points(clusters[j].range_m, self._settings) for j in dim
-            ]
-            solid[dim] |= shaded[dim] & little
-        return solid
-
-    def _judge(
-        self, seen: list[Track], stack: StackedPoints, odometry: Odometry, sensor_map: FloatArray
-    ) -> None:
-        """Let the tracks seen now gather evidence, and decide which are UAVs."""
-        if seen and self._settings.proof_of_flight:
-            bodies = Regions.around(seen)
-            counts = self._search.survey(stack, bodies, list(range(len(seen))), seen, sensor_map)
-            expected = self._surroundings.expected_foot(bodies.centres_map, sensor_map, odometry.q_map_body)
-            for track, count, foot in zip(seen, counts, expected, strict=True):
-                track.look_around(count, float(foot))
-        for track in seen:
-            track.judge()
 
     def _recognise(self) -> None:
         """Give whoever has just proved to be a UAV the number of the lost one it most likely is."""
@@ -349,10 +326,6 @@ class NeighbourTracker:
             if self._is_current(track)
             or (self._t_ns is not None and track.proof.validated and track.unseen_s(self._t_ns) <= longest)
         ]
-
-
-def _centres(clusters: list[Cluster]) -> FloatArray:
-    return np.array([cluster.centre_map for cluster in clusters]).reshape(-1, 3)
 
 
 def _is_finite(odometry: Odometry) -> bool:

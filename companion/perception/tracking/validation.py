@@ -93,8 +93,9 @@ class Proof:
         self._updates = 0
         self._on = 0
         self._wanted_on = max(settings.min_on_updates, _scans(settings.on_s, settings))
-        self._off = 0
+        self._off = self._off_whole = 0
         self._most_off = _scans(settings.off_s, settings)
+        self._most_off_in_part = _scans(settings.off_in_part_s, settings)
         self.free = 0.0
         self.moved = False
         self.validated = False
@@ -132,13 +133,14 @@ class Proof:
         self.free = self.free + expected - against
         self.free = min(max(self.free, -_MOST_EVIDENCE * threshold), _MOST_EVIDENCE * threshold)
 
-    def judge(self, points: int, bright: int, motion: MotionFilter) -> None:
+    def judge(self, points: int, bright: int, motion: MotionFilter, *, whole: bool = True) -> None:
         """Take one update and decide anew.
 
         Args:
             points: of its cluster.
             bright: number of bright ones among them.
             motion: where it is and how it moves.
+            whole: nothing hides a part of it, so that its tape would be seen.
         """
         settings = self._settings
         self._updates += 1
@@ -147,13 +149,15 @@ class Proof:
         taped = settings.tape is Tape.NONE or self.bright_share > settings.bright_share
         self._on = self._on + 1 if taped else 0
         self._off = 0 if taped else self._off + 1
+        self._off_whole = 0 if taped else self._off_whole + whole
         # What went along a pole from one dim point to the next has not moved.
         shown = settings.tape is Tape.NONE or bright > 0
         if shown and not self.moved and self._updates >= settings.moved_updates:
             self.moved = self.free > -_DOUBT * settings.free_evidence and self._goes(motion)
         if self.validated:
             fixed = settings.proof_of_flight and self._evidence <= -settings.free_evidence
-            self.validated = self._off <= self._most_off and not fixed
+            remembered = self._off_whole <= self._most_off and self._off <= self._most_off_in_part
+            self.validated = remembered and not fixed
         elif taped and self._on >= self._wanted_on:
             self.validated = self._flies and not self._is_all_tape
 

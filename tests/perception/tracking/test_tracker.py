@@ -90,6 +90,38 @@ def test_an_occluded_uav_coasts_becomes_last_seen_and_is_found_again() -> None:
     assert [track.track_id for track in validated(again[-1])] == [number]
 
 
+def test_one_who_comes_back_with_its_tape_out_of_sight_is_known_at_once() -> None:
+    dim = Uav((4.0, -2.0, 1.8), (0.0, 0.5, 0.0), bright_share=0.0)
+    for away, known in ((10, True), (25, True), (35, False)):
+        tracker = NeighbourTracker(TrackingSettings())
+        number = validated(follow([Uav(dim.p_map, dim.v_map)], 20, tracker)[-1])[0].track_id
+        follow([], away, tracker, first=21)
+        again = follow([dim], 5, tracker, first=21 + away)
+        expected = [number] if known else []
+        assert [[track.track_id for track in validated(tracks)] for tracks in again] == [expected] * 5
+        for tracks in again:
+            for track in validated(tracks):
+                assert np.linalg.norm(track.p_map - dim.at(1e-9 * tracks.t_ns)) < 0.15
+
+
+def test_what_never_wore_tape_is_not_known_where_nobody_was_lost() -> None:
+    tracker = NeighbourTracker(TrackingSettings())
+    follow([Uav((4.0, -2.0, 1.8), (0.0, 0.5, 0.0))], 20, tracker)
+    for tracks in follow([Uav((4.0, 1.5, 1.8), bright_share=0.0)], 20, tracker, first=21):
+        assert not any(track.p_map[1] > 0.5 for track in tracks.tracks if track.t_seen_ns == tracks.t_ns)
+
+
+def test_one_who_sinks_below_the_field_of_view_is_relied_on_longer_than_one_who_vanishes() -> None:
+    for z, most in ((1.45, 10), (2.2, 10)):
+        tracker = NeighbourTracker(TrackingSettings())
+        uav = Uav((1.5, -0.9, z), (0.0, 0.3, 0.0))
+        assert validated(follow([uav], 20, tracker)[-1])
+        relied = [len(validated(tracks)) for tracks in follow([], 22, tracker, first=21)]
+        assert relied == sorted(relied, reverse=True)
+        assert 0 < sum(relied) <= 20
+        assert (sum(relied) >= most) == (z < 1.5)
+
+
 def test_one_who_comes_back_elsewhere_has_the_old_number_once_it_has_proved_itself() -> None:
     tracker = NeighbourTracker(TrackingSettings())
     before = Uav((4.0, -2.0, 1.8), (0.0, 0.5, 0.0))

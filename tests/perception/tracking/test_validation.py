@@ -72,6 +72,20 @@ def test_a_uav_seen_edge_on_stays_proven_for_a_while() -> None:
     assert not states[-1]
 
 
+def test_a_uav_cut_off_by_the_field_of_view_stays_proven_for_longer_but_not_for_ever() -> None:
+    mine, motion = proof()
+    for _ in range(5):
+        mine.look_around(counts(), 1.5, False)
+        mine.judge(10, 4, motion)
+    states = []
+    for _ in range(90):
+        mine.look_around(counts(), 0.0, False)
+        mine.judge(10, 0, motion, whole=False)
+        states.append(mine.validated)
+    assert all(states[:55])
+    assert not states[-1]
+
+
 def test_what_is_seen_well_and_stands_alone_needs_no_visible_foot() -> None:
     mine, motion = proof()
     for _ in range(10):
