@@ -4,12 +4,32 @@ import math
 
 import numpy as np
 
-from companion.compiled import compiled
+from companion.compiled import compiled, portable_inlined
 from companion.messages import FloatArray
 
 LINES = 4
 FIRING_PERIOD_NS = 20_000
 """The four emitters fire together; their results follow each other in the stream."""
+
+_FIRINGS_AT_ONCE = 256
+"""More than a simulation step has; their rows of numbers still fit into the processor's cache."""
+
+
+@portable_inlined
+def _add_scaled(total: FloatArray, factor: float, row: FloatArray) -> None:
+    for f in range(total.shape[0]):
+        total[f] += factor * row[f]
+
+
+@portable_inlined
+def _add_four_scaled(
+    total: FloatArray, factors: FloatArray, c: int, j: int,
+    row_0: FloatArray, row_1: FloatArray, row_2: FloatArray, row_3: FloatArray,
+) -> None:  # fmt: skip
+    """Add four scaled rows, one after the other, to a total that is read and written but once."""
+    k_0, k_1, k_2, k_3 = factors[j, c], factors[j + 1, c], factors[j + 2, c], factors[j + 3, c]
+    for f in range(total.shape[0]):
+        total[f] = (((total[f] + k_0 * row_0[f]) + k_1 * row_1[f]) + k_2 * row_2[f]) + k_3 * row_3[f]
 
 
 @compiled("void(int64, float64, float64, int64, int64, float64[:, ::1], float64[:, ::1])")
@@ -28,63 +48,61 @@ def evaluate_directions(
     cosine and sine of k * rotor + l * nod for k = 0, l = 1..nod_order, then for k = 1..rotor_order,
     l = -nod_order..nod_order.
     """
-    basis = np.empty((2 * rotor_order + 1) * (2 * nod_order + 1))
-    nod = np.empty((nod_order + 1, 2))
-    nod[0, 0], nod[0, 1] = 1.0, 0.0
-    basis[0] = 1.0
-    sums = np.empty(LINES * 3)
+    terms = coefficients.shape[0]
     first_firing, last_firing = first_slot // LINES, (first_slot + directions_lidar.shape[0] - 1) // LINES
-    for firing in range(first_firing, last_firing + 1):
-        t = firing * (FIRING_PERIOD_NS * 1e-9)
-        # Phases are reduced to one turn first, so that a long uptime costs no precision.
-        rotor_phase = 2.0 * math.pi * ((rotor_hz * t) % 1.0)
-        nod_phase = 2.0 * math.pi * ((nod_hz * t) % 1.0)
-        rotor_cos, rotor_sin = math.cos(rotor_phase), math.sin(rotor_phase)
-        nod_cos, nod_sin = math.cos(nod_phase), math.sin(nod_phase)
+    # Many firings side by side, since operations on rows of them do not wait for each other.
+    block = max(min(last_firing + 1 - first_firing, _FIRINGS_AT_ONCE), 1)
+    rotor, nod, turn = np.empty((2, block)), np.empty((nod_order + 2, 2, block)), np.empty((2, block))
+    basis, sums = np.empty((terms, block)), np.empty((LINES * 3, block))
+    nod[0, 0, :], nod[0, 1, :], basis[0, :] = 1.0, 0.0, 1.0
+    for start in range(first_firing, last_firing + 1, block):
+        for f in range(block):
+            t = (start + f) * (FIRING_PERIOD_NS * 1e-9)
+            # Phases are reduced to one turn first, so that a long uptime costs no precision.
+            rotor_phase = 2.0 * math.pi * ((rotor_hz * t) % 1.0)
+            nod_phase = 2.0 * math.pi * ((nod_hz * t) % 1.0)
+            rotor[0, f], rotor[1, f] = math.cos(rotor_phase), math.sin(rotor_phase)
+            nod[1, 0, f], nod[1, 1, f] = math.cos(nod_phase), math.sin(nod_phase)
+            turn[0, f], turn[1, f] = 1.0, 0.0
+        for m in range(2, nod_order + 1):
+            for f in range(block):
+                before_cos, before_sin, nod_cos, nod_sin = (
+                    nod[m - 1, 0, f], nod[m - 1, 1, f], nod[1, 0, f], nod[1, 1, f]
+                )  # fmt: skip
+                nod[m, 0, f] = before_cos * nod_cos - before_sin * nod_sin
+                nod[m, 1, f] = before_sin * nod_cos + before_cos * nod_sin
         j = 1
         for m in range(1, nod_order + 1):
-            nod[m, 0] = nod[m - 1, 0] * nod_cos - nod[m - 1, 1] * nod_sin
-            nod[m, 1] = nod[m - 1, 1] * nod_cos + nod[m - 1, 0] * nod_sin
-            basis[j], basis[j + 1] = nod[m, 0], nod[m, 1]
+            basis[j, :], basis[j + 1, :] = nod[m, 0], nod[m, 1]
             j += 2
-        turn_cos, turn_sin = 1.0, 0.0
         for _ in range(rotor_order):
-            turn_cos, turn_sin = (
-                turn_cos * rotor_cos - turn_sin * rotor_sin,
-                turn_sin * rotor_cos + turn_cos * rotor_sin,
-            )
+            for f in range(block):
+                turn[0, f], turn[1, f] = (
+                    turn[0, f] * rotor[0, f] - turn[1, f] * rotor[1, f],
+                    turn[1, f] * rotor[0, f] + turn[0, f] * rotor[1, f],
+                )
             for m in range(-nod_order, nod_order + 1):
-                other_cos = nod[abs(m), 0]
-                other_sin = nod[abs(m), 1] if m >= 0 else -nod[abs(m), 1]
-                basis[j] = turn_cos * other_cos - turn_sin * other_sin
-                basis[j + 1] = turn_sin * other_cos + turn_cos * other_sin
+                sign = 1.0 if m >= 0 else -1.0
+                for f in range(block):
+                    other_cos, other_sin = nod[abs(m), 0, f], sign * nod[abs(m), 1, f]
+                    basis[j, f] = turn[0, f] * other_cos - turn[1, f] * other_sin
+                    basis[j + 1, f] = turn[1, f] * other_cos + turn[0, f] * other_sin
                 j += 2
-        # All lines at once: twelve sums do not wait for each other as the terms of one do.
-        ax, ay, az, bx, by, bz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        cx, cy, cz, dx, dy, dz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        for j in range(basis.shape[0]):
-            term = basis[j]
-            ax, ay, az = (
-                ax + coefficients[j, 0] * term, ay + coefficients[j, 1] * term, az + coefficients[j, 2] * term
-            )  # fmt: skip
-            bx, by, bz = (
-                bx + coefficients[j, 3] * term, by + coefficients[j, 4] * term, bz + coefficients[j, 5] * term
-            )  # fmt: skip
-            cx, cy, cz = (
-                cx + coefficients[j, 6] * term, cy + coefficients[j, 7] * term, cz + coefficients[j, 8] * term
-            )  # fmt: skip
-            dx, dy, dz = (
-                dx + coefficients[j, 9] * term,
-                dy + coefficients[j, 10] * term,
-                dz + coefficients[j, 11] * term,
-            )  # fmt: skip
-        sums[0], sums[1], sums[2], sums[3], sums[4], sums[5] = ax, ay, az, bx, by, bz
-        sums[6], sums[7], sums[8], sums[9], sums[10], sums[11] = cx, cy, cz, dx, dy, dz
-        for line in range(LINES):
-            i = firing * LINES + line - first_slot
-            if i >= 0 and i < directions_lidar.shape[0]:
-                x, y, z = sums[3 * line], sums[3 * line + 1], sums[3 * line + 2]
-                scale = 1.0 / math.sqrt(x * x + y * y + z * z)
-                directions_lidar[i, 0] = x * scale
-                directions_lidar[i, 1] = y * scale
-                directions_lidar[i, 2] = z * scale
+        for c in range(LINES * 3):
+            sums[c, :] = 0.0
+            by_fours = terms - terms % 4
+            for j in range(0, by_fours, 4):
+                _add_four_scaled(
+                    sums[c], coefficients, c, j, basis[j], basis[j + 1], basis[j + 2], basis[j + 3]
+                )
+            for j in range(by_fours, terms):
+                _add_scaled(sums[c], coefficients[j, c], basis[j])
+        for f in range(block):
+            for line in range(LINES):
+                i = (start + f) * LINES + line - first_slot
+                if i >= 0 and i < directions_lidar.shape[0]:
+                    x, y, z = sums[3 * line, f], sums[3 * line + 1, f], sums[3 * line + 2, f]
+                    scale = 1.0 / math.sqrt(x * x + y * y + z * z)
+                    directions_lidar[i, 0] = x * scale
+                    directions_lidar[i, 1] = y * scale
+                    directions_lidar[i, 2] = z * scale
