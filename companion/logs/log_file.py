@@ -10,7 +10,7 @@ import structlog
 
 from companion.clock import NANOSECONDS_PER_SECOND
 from companion.logs import metadata as flight_metadata
-from companion.logs.codec import codec_of
+from companion.logs.codec import Codec, codec_of
 from companion.logs.container import ContainerWriter
 from companion.logs.log_queue import LogEntry
 from companion.logs.metadata import FlightMetadata
@@ -73,6 +73,7 @@ class LogFile:
         self._durable = durable
         self._file: FileIO | None = None
         self._channel_ids: dict[str, int] = {}
+        self._codecs: dict[str, Codec] = {}
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             if path.exists():
@@ -112,7 +113,9 @@ class LogFile:
         if self.state is not LogState.RECORDING:
             self.refused += 1
             return
-        codec = codec_of(entry.channel)
+        codec = self._codecs.get(entry.channel.topic)
+        if codec is None:
+            codec = self._codecs[entry.channel.topic] = codec_of(entry.channel)
         data = codec.encode(entry.message)
         try:
             channel_id = self._channel_ids.get(entry.channel.topic)

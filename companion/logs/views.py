@@ -69,6 +69,9 @@ def views_of(message: Recordable) -> list[tuple[Channel, object]]:
     Raises:
         TypeError: if nothing is known of this kind of message.
     """
+    channel = _SIMPLE.get(type(message))
+    if channel is not None:
+        return [(channel, message)]
     if isinstance(message, Odometry):
         pose = StampedPose(message.t_ns, "map", message.p_map, message.q_map_body)
         return [(channels.ODOMETRY, message), (channels.POSE, pose)]
@@ -80,10 +83,7 @@ def views_of(message: Recordable) -> list[tuple[Channel, object]]:
         return [(channels.PLAN, message), (channels.PATH, PathView(message.t_ns, message.path_map))]
     if isinstance(message, Surroundings):
         return [(channels.GIVEN, given_of(message)), (channels.GRID, grid_of(message))]
-    channel = _SIMPLE.get(type(message))
-    if channel is None:
-        raise TypeError(f"no channel for a {type(message).__name__}")
-    return [(channel, message)]
+    raise TypeError(f"no channel for a {type(message).__name__}")
 
 
 def mark_of(scan: RegisteredScan) -> ScanMark:

@@ -205,6 +205,8 @@ class FlightLog:
             TypeError, ValueError, AttributeError: if it does not fit the channel (a threaded log counts
                 such messages instead).
         """
+        if channel.topic in self._off and not channel.journal:
+            return
         with self._lock:
             if channel.journal:
                 # Raw data that came before an event stands before it in the file.

@@ -57,7 +57,7 @@ class Eye:
             midway: everybody in its middle, where the others are seen.
         """
         others = self._others
-        world = self._bodies.at(midway[0][others], midway[1][others], now.turns[others])
+        world = self._bodies.at(midway[0].take(others, 0), midway[1].take(others, 0), now.turns.take(others))
         return self._scanner.step(self._pose(before), self._pose(now), STEP_NS, world)
 
     def _pose(self, table: Table) -> Kinematics:

@@ -125,7 +125,7 @@ class Bodies:
         )
 
     def _turned(self, turns: FloatArray) -> FloatArray:
-        angles = self._headings + turns[self._spinning_body]
+        angles = self._headings + turns.take(self._spinning_body)
         rows = self._rows.copy()
         turn_rods(self._spinning, self._hubs, self._half, np.cos(angles), np.sin(angles), rows)
         return rows
