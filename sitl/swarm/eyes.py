@@ -21,7 +21,7 @@ from sitl.worlds.bodies import Bodies, poses_midway
 from sitl.worlds.uav_body import UavBodySettings, uav_body
 
 _HEAD = struct.Struct("<qq")
-_LENT = 2
+_LENT = 1
 _UNUSED = np.zeros(3)
 
 Midway = tuple[FloatArray, FloatArray]
@@ -68,8 +68,8 @@ class Eye:
 def lent_eyes(shares: Sequence[Sequence[int]]) -> dict[int, tuple[int, ...]]:
     """Return for which vehicles the first share simulates the LiDAR, by the number of their own share.
 
-    A LiDAR is about a quarter of a vehicle's work: where one share alone has a vehicle more than the first,
-    two LiDARs make them even.
+    Where one share alone has a vehicle more than the first, it lends a LiDAR, about a quarter of a vehicle's
+    work. A second would make the sums even, but not most steps, and its points have to be handed over too.
     """
     larger = [index for index, share in enumerate(shares) if len(share) > len(shares[0])]
     if len(larger) != 1 or len(shares[larger[0]]) < _LENT:
