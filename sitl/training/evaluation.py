@@ -65,6 +65,7 @@ CASES = (
     EvaluationCase("pillars_5m_8", "pillars_5m", 8),
     EvaluationCase("forest_4", "forest", 4),
     EvaluationCase("pillars_5m_4", "pillars_5m", 4),
+    EvaluationCase("pillars_5m_4_reverse", "pillars_5m", 4, "reverse"),
     EvaluationCase("pillars_10m_4_mixed", "pillars_10m", 4, "mixed"),
     EvaluationCase("none_4", "none", 4),
 )

@@ -3,7 +3,7 @@
 1. Where everybody is, a little ahead of now, those just out of sight included.
 2. Cohesion and the neighbours' own velocity, both weighted towards neighbours that fly away from here: they
    lead, and the others come along by themselves.
-3. Separation, and stepping aside from whoever is about to pass too near.
+3. Separation, and stepping aside from whoever turns back through the flock.
 4. A gentle flow round obstacles.
 5. Where an obstacle is in the way the wish turns to where it can be flown fastest; what is then left aside
    does not slow down.
@@ -40,7 +40,6 @@ from companion.control.followers.layout_kernels import (
     FLOCK_COHESION,
     FLOCK_COLUMNS,
     FLOCK_DODGE,
-    FLOCK_DODGE_CAUGHT,
     FLOCK_DODGE_FULL,
     FLOCK_DODGE_ROOM,
     FLOCK_DODGE_TIME,
@@ -48,6 +47,7 @@ from companion.control.followers.layout_kernels import (
     FLOCK_FEED_FORWARD,
     FLOCK_FLOW,
     FLOCK_FLOW_REACH,
+    FLOCK_FORESIGHT,
     FLOCK_HEED,
     FLOCK_HEIGHT_GAIN,
     FLOCK_KNOWN,
@@ -75,6 +75,7 @@ _FLOW_COLUMNS = 72.0 / 8.0
 _SAME_PLACE_M = 1e-6
 _RECOVERY_AFTER_S = 1.0
 _LEAST_LINK = 0.1
+_STRAIGHT_M = 0.05
 
 
 @portable_inlined
@@ -118,6 +119,7 @@ def _gather(
     """Cohesion, following, separation, stepping aside and height; carry on alone if nobody is known."""
     lead = parameters[FLOCK_LEAD]
     reach = parameters[FLOCK_SEPARATION_REACH]
+    sum_x, sum_y = _total_velocity(ego, known, memory)
     total, pull_x, pull_y, heeded, flow_x, flow_y = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     push_x, push_y, rise, rises, top = 0.0, 0.0, 0.0, 0.0, -math.inf
     for index in range(known):
@@ -125,7 +127,8 @@ def _gather(
         x, y, z = memory[row], memory[row + 1], memory[row + 2]
         vx, vy, trust = memory[row + 3], memory[row + 4], memory[row + 5]
         wx, wy = vx - ego[EGO_V], vy - ego[EGO_V + 1]
-        aside_x, aside_y = _step_aside(x, y, wx, wy, vx, vy, parameters)
+        rest_x, rest_y = (sum_x - vx) / known, (sum_y - vy) / known
+        aside_x, aside_y = _step_aside(row, ego, rest_x, rest_y, memory, parameters)
         push_x += trust * aside_x
         push_y += trust * aside_y
         x, y = x + lead * wx, y + lead * wy
@@ -199,24 +202,38 @@ def _close_gaps(
 
 
 @portable_inlined
-def _step_aside(
-    x: float, y: float, wx: float, wy: float, vx: float, vy: float, parameters: FloatArray
-) -> tuple[float, float]:
-    """Return a velocity away from where a neighbour will pass, if it will soon pass too near.
+def _total_velocity(ego: FloatArray, known: int, memory: FloatArray) -> tuple[float, float]:
+    """Return the sum of the velocities of the own vehicle and all neighbours, m/s."""
+    total_x, total_y = ego[EGO_V], ego[EGO_V + 1]
+    for index in range(known):
+        row = FLOCK_VIEW + index * FLOCK_VIEW_SIZE
+        total_x += memory[row + 3]
+        total_y += memory[row + 4]
+    return total_x, total_y
 
-    Those who come fast and by themselves are given way to. Whoever is only caught up with is given way to
-    less: in a large swarm everybody catches up with somebody all the time, and it would fly apart.
+
+@portable_inlined
+def _step_aside(
+    row: int, ego: FloatArray, rest_x: float, rest_y: float, memory: FloatArray, parameters: FloatArray
+) -> tuple[float, float]:
+    """Return a velocity away from where a neighbour will pass, if it comes at us against the flock's motion.
+
+    Whoever flies with the flock looks after itself. A leader that turns back does not, and leaves a second to
+    get out of its way: it is reckoned with the velocity that it will soon have.
 
     Args:
-        x: position of the neighbour relative to the own, m.
-        y: likewise.
-        wx: its velocity relative to the own, m/s.
-        wy: likewise.
-        vx: its own velocity, m/s.
-        vy: likewise.
+        row: of the neighbour in the view.
+        ego: the own state.
+        rest_x: mean velocity of the flock without that neighbour, m/s.
+        rest_y: likewise.
+        memory: with the view, and what was wanted last.
         parameters: of the law.
     """
     longest, room = parameters[FLOCK_DODGE_TIME], parameters[FLOCK_DODGE_ROOM]
+    x, y = memory[row], memory[row + 1]
+    vx = memory[row + 3] + parameters[FLOCK_FORESIGHT] * memory[row + 6]
+    vy = memory[row + 4] + parameters[FLOCK_FORESIGHT] * memory[row + 7]
+    wx, wy = vx - ego[EGO_V], vy - ego[EGO_V + 1]
     speed_squared = wx * wx + wy * wy
     closing = -(x * wx + y * wy)
     if closing <= 0.0 or speed_squared < 0.01 or longest <= 0.0:
@@ -228,16 +245,19 @@ def _step_aside(
     miss = math.sqrt(miss_x * miss_x + miss_y * miss_y)
     if miss >= room:
         return 0.0, 0.0
+    distance = max(math.sqrt(x * x + y * y), _SAME_PLACE_M)
+    against = -((vx - rest_x) * x + (vy - rest_y) * y) / distance
+    share = min(max(2.0 * against / parameters[FLOCK_DODGE_FULL] - 1.0, 0.0), 1.0)
+    strength = parameters[FLOCK_DODGE] * share * (1.0 - miss / room) * (1.0 - soon / longest)
+    # The side is that of where we are about to fly: by the own velocity, which lags behind, errors of the
+    # other's would turn us back and forth. If it comes straight at us, both pass on the same hand.
+    cos_yaw, sin_yaw = math.cos(ego[EGO_YAW]), math.sin(ego[EGO_YAW])
+    sx = vx - cos_yaw * memory[FLOCK_WISH] - sin_yaw * memory[FLOCK_WISH + 1]
+    sy = vy - cos_yaw * memory[FLOCK_WISH + 1] + sin_yaw * memory[FLOCK_WISH]
+    if x * sy - y * sx > _STRAIGHT_M * math.sqrt(sx * sx + sy * sy):
+        strength = -strength
     speed = math.sqrt(speed_squared)
-    if miss > 0.05:
-        ex, ey = miss_x / miss, miss_y / miss
-    else:
-        # It comes straight at us: both pass on the same hand.
-        ex, ey = -wy / speed, wx / speed
-    strength = parameters[FLOCK_DODGE] * (1.0 - miss / room) * (1.0 - soon / longest)
-    strength *= min(speed / parameters[FLOCK_DODGE_FULL], 1.0) ** 2
-    strength *= min(max(-(x * vx + y * vy) / closing, parameters[FLOCK_DODGE_CAUGHT]), 1.0)
-    return -strength * ex, -strength * ey
+    return strength * wy / speed, -strength * wx / speed
 
 
 @portable_inlined

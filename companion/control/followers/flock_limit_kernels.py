@@ -1,8 +1,9 @@
 """What `flock` allows: half-planes of velocity, the way round what is in the way, and the projection.
 
 Towards an obstacle at distance d, v.n <= a (d - margin); towards a neighbour the same, plus the velocity at
-which it flies away, or less a share of that at which it comes. Distances are those that will be left once a
-new command takes effect. What will be left aside with enough clearance does not slow down, however near.
+which it flies away, or less a share of that at which it comes, and less what that will soon be more.
+Distances are those that will be left once a new command takes effect. What will be left aside with enough
+clearance does not slow down, however near.
 """
 
 import math
@@ -18,6 +19,7 @@ from companion.control.followers.layout_kernels import (
     FLOCK_BODY_RADIUS,
     FLOCK_COLUMNS,
     FLOCK_DETOUR,
+    FLOCK_FORESIGHT,
     FLOCK_LIMIT_SIZE,
     FLOCK_LIMITED,
     FLOCK_LIMITS,
@@ -98,7 +100,7 @@ def limit_by_neighbours(
     ego: FloatArray, known: int, count: int, memory: FloatArray, parameters: FloatArray
 ) -> int:
     """Append the half-planes of all neighbours; return how many there are then."""
-    stop = parameters[FLOCK_NEIGHBOUR_STOP]
+    stop, soon = parameters[FLOCK_NEIGHBOUR_STOP], parameters[FLOCK_FORESIGHT]
     for index in range(known):
         row = FLOCK_VIEW + index * FLOCK_VIEW_SIZE
         x, y, vx, vy = memory[row], memory[row + 1], memory[row + 3], memory[row + 4]
@@ -107,6 +109,7 @@ def limit_by_neighbours(
         ex, ey = x / distance, y / distance
         bound = parameters[FLOCK_NEIGHBOUR_RATE] * (distance - parameters[FLOCK_NEIGHBOUR_MARGIN])
         away = vx * ex + vy * ey
+        away += min(soon * (memory[row + 6] * ex + memory[row + 7] * ey), 0.0)
         bound += away if away > 0.0 else parameters[FLOCK_NEIGHBOUR_SHARE] * away
         count = _limit(count, ex, ey, max(bound, -parameters[FLOCK_RETREAT]), x, y, memory)
     return count

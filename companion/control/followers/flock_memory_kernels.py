@@ -36,6 +36,7 @@ _SAME_OBSTACLE_M = 0.15
 _REMEMBERED_WITHIN_M = 2.0
 _LONGEST_PREDICTION_S = 1.0
 _SHORTEST_MEMORY_S = 1e-3
+_SMOOTHED_OVER_S = 0.3
 
 
 @portable_inlined
@@ -45,6 +46,7 @@ def remember_neighbours(
     """Write the present neighbours into their slots, in the map; forget those unseen for too long."""
     cos_yaw, sin_yaw = math.cos(ego[EGO_YAW]), math.sin(ego[EGO_YAW])
     longest = parameters[FLOCK_NEIGHBOUR_MEMORY]
+    newer = ego[EGO_DT] / (_SMOOTHED_OVER_S + ego[EGO_DT])
     for slot in range(FLOCK_SLOT_COUNT):
         at = FLOCK_SLOTS + slot * FLOCK_SLOT_SIZE
         if memory[at] == 0.0:
@@ -62,14 +64,20 @@ def remember_neighbours(
         py = ego[EGO_P + 1] + sin_yaw * x + cos_yaw * y
         pz = ego[EGO_P + 2] + neighbours[row, ROW_P + 2]
         at = _slot_for(memory, neighbours[row, ROW_ID] + 1.0, px, py, pz)
+        vx, vy = cos_yaw * vx - sin_yaw * vy, sin_yaw * vx + cos_yaw * vy
+        if memory[at] != neighbours[row, ROW_ID] + 1.0:
+            memory[at + 8] = vx
+            memory[at + 9] = vy
         memory[at] = neighbours[row, ROW_ID] + 1.0
         memory[at + 1] = 0.0
         memory[at + 2] = px
         memory[at + 3] = py
         memory[at + 4] = pz
-        memory[at + 5] = cos_yaw * vx - sin_yaw * vy
-        memory[at + 6] = sin_yaw * vx + cos_yaw * vy
+        memory[at + 5] = vx
+        memory[at + 6] = vy
         memory[at + 7] = neighbours[row, ROW_V + 2] + ego[EGO_V + 2]
+        memory[at + 8] += newer * (vx - memory[at + 8])
+        memory[at + 9] += newer * (vy - memory[at + 9])
 
 
 @portable_inlined
@@ -103,8 +111,8 @@ def _slot_for(memory: FloatArray, number: float, px: float, py: float, pz: float
 def recall_neighbours(ego: FloatArray, memory: FloatArray, parameters: FloatArray) -> int:
     """Write where everybody is believed to be; return how many are known.
 
-    Rows of the view are relative position and own velocity in the heading frame, and trust: 1 for those seen,
-    less and less for others.
+    Rows of the view are relative position and own velocity in the heading frame; trust, 1 for those seen and
+    less and less for others; acceleration, from how the velocity differs from what it was of late.
     """
     cos_yaw, sin_yaw = math.cos(ego[EGO_YAW]), math.sin(ego[EGO_YAW])
     longest = max(parameters[FLOCK_NEIGHBOUR_MEMORY], _SHORTEST_MEMORY_S)
@@ -123,6 +131,10 @@ def recall_neighbours(ego: FloatArray, memory: FloatArray, parameters: FloatArra
         memory[row + 3] = cos_yaw * memory[at + 5] + sin_yaw * memory[at + 6]
         memory[row + 4] = cos_yaw * memory[at + 6] - sin_yaw * memory[at + 5]
         memory[row + 5] = max(1.0 - memory[at + 1] / longest, 0.0)
+        ax = (memory[at + 5] - memory[at + 8]) / _SMOOTHED_OVER_S
+        ay = (memory[at + 6] - memory[at + 9]) / _SMOOTHED_OVER_S
+        memory[row + 6] = cos_yaw * ax + sin_yaw * ay
+        memory[row + 7] = cos_yaw * ay - sin_yaw * ax
         count += 1
     return count
 

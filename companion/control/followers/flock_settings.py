@@ -28,9 +28,9 @@ class FlockSettings(Settings):
     """The wanted height is the neighbours' mean at 0, that of the highest at 1."""
     below_m: float = Field(default=0.0, ge=-0.5, le=0.5)
     """Flown this much under the wanted height: those lower are out of sight sooner than those higher."""
-    dodge_mps: float = Field(default=2.93, ge=0.0, le=10.0)
+    dodge_mps: float = Field(default=4.0, ge=0.0, le=10.0)
     """Speed at which a follower steps aside from a neighbour about to hit it."""
-    dodge_time_s: float = Field(default=2.77, ge=0.0, le=10.0)
+    dodge_time_s: float = Field(default=2.2, ge=0.0, le=10.0)
     """How early that begins."""
     dodge_room_m: float = Field(default=1.16, gt=0.1, le=5.0)
     """A neighbour that will pass farther than this is let pass."""
@@ -72,12 +72,13 @@ class FlockSettings(Settings):
     """Pull towards a neighbour with nobody between, for each metre that it is farther than `link_m`."""
     link_m: float = Field(default=1.55, gt=0.4, le=8.0)
     """Gaps up to this are not closed."""
-    dodge_full_mps: float = Field(default=2.57, gt=0.0, le=5.0)
-    """A neighbour that comes slower is stepped aside from less, with the square of its speed."""
+    dodge_full_mps: float = Field(default=2.2, gt=0.0, le=5.0)
+    """A neighbour that comes slower against the motion of the others is stepped aside from less, and at half
+    of it not at all."""
     link_behind_s_per_m: float = Field(default=0.96, ge=0.0, le=5.0)
     """For each m/s at which the vehicle flies away from a neighbour, the pull towards it is so much less."""
-    dodge_caught: float = Field(default=0.5, ge=0.0, le=1.0)
-    """Least share of stepping aside, from a neighbour that does not come by itself but is caught up with."""
+    foresight_s: float = Field(default=0.7, ge=0.0, le=2.0)
+    """Neighbours are stepped aside from and braked for at the velocity that they will have so much later."""
     pass_m: float = Field(default=0.02, ge=0.0, le=3.0)
     """An obstacle that is left aside with so much room beyond `obstacle_margin_m` does not slow down."""
     neighbour_stop_s: float = Field(default=0.3, ge=0.0, le=2.0)

@@ -45,13 +45,14 @@ STARTED = 0
 PREVIOUS = 1
 LAW_MEMORY = 8
 
-# `flock` remembers its last wish, neighbours (number plus one, age, position, velocity) and obstacles (time
-# left, position), and has room for one distance in each direction, half-planes (normal, bound), a view of
-# the neighbours (relative position, own velocity in the plane, trust), and how many rows of it hold.
+# `flock` remembers its last wish, neighbours (number plus one, age, position, velocity, smoothed velocity in
+# the plane) and obstacles (time left, position), and has room for one distance in each direction, half-planes
+# (normal, bound), a view of the neighbours (relative position, own velocity in the plane, trust, acceleration
+# in the plane), and how many rows of it hold.
 FLOCK_WISH = LAW_MEMORY
 FLOCK_SLOTS = LAW_MEMORY + 2
 FLOCK_SLOT_COUNT = 12
-FLOCK_SLOT_SIZE = 8
+FLOCK_SLOT_SIZE = 10
 FLOCK_POINTS = FLOCK_SLOTS + FLOCK_SLOT_COUNT * FLOCK_SLOT_SIZE
 FLOCK_POINT_COUNT = 48
 FLOCK_POINT_SIZE = 4
@@ -60,7 +61,7 @@ FLOCK_LIMITS = FLOCK_COLUMNS + AZIMUTHS
 FLOCK_LIMIT_COUNT = AZIMUTHS + FLOCK_POINT_COUNT + FLOCK_SLOT_COUNT
 FLOCK_LIMIT_SIZE = 5
 FLOCK_VIEW = FLOCK_LIMITS + FLOCK_LIMIT_COUNT * FLOCK_LIMIT_SIZE
-FLOCK_VIEW_SIZE = 6
+FLOCK_VIEW_SIZE = 8
 FLOCK_KNOWN = FLOCK_VIEW + FLOCK_SLOT_COUNT * FLOCK_VIEW_SIZE
 FLOCK_LIMITED = FLOCK_KNOWN + 1
 FLOCK_MEMORY_SIZE = FLOCK_LIMITED + 1
@@ -123,7 +124,7 @@ FLOCK_LINK = 38
 FLOCK_LINK_LENGTH = 39
 FLOCK_DODGE_FULL = 40
 FLOCK_LINK_BEHIND = 41
-FLOCK_DODGE_CAUGHT = 42
+FLOCK_FORESIGHT = 42
 FLOCK_PASS = 43
 FLOCK_NEIGHBOUR_STOP = 44
 FLOCK_RETREAT = 45

@@ -16,12 +16,13 @@ _FLOW_COLUMNS = 9.0
 
 @dataclass
 class Known:
-    """A neighbour in the map."""
+    """A neighbour in the map; `usual` is its velocity, smoothed over 0.3 s."""
 
     number: int
     age: float
     p: FloatArray
     v: FloatArray
+    usual: FloatArray
 
     @property
     def ahead(self) -> float:
@@ -36,6 +37,7 @@ class Seen:
     r: FloatArray
     z: float
     v: FloatArray
+    a: FloatArray
     trust: float
 
 
@@ -89,7 +91,11 @@ class Flock:
         for row in present(neighbours):
             p = ego[:3] + np.append(turned(row, ego[6]), row[2])
             v = np.append(turned(row[3:5] + ego[3:5], ego[6]), row[5] + ego[5])
-            self.slots[self._slot(int(row[7]), p)] = Known(int(row[7]), 0.0, p, v)
+            index = self._slot(int(row[7]), p)
+            before = self.slots[index]
+            usual = v[:2] if before is None or before.number != int(row[7]) else before.usual
+            usual = usual + ego[8] / (0.3 + ego[8]) * (v[:2] - usual)
+            self.slots[index] = Known(int(row[7]), 0.0, p, v, usual)
 
     def _slot(self, number: int, p: FloatArray) -> int:
         for index, known in enumerate(self.slots):
@@ -131,7 +137,8 @@ class Flock:
             if known is not None:
                 r = known.p + known.ahead * known.v - ego[:3]
                 trust = max(1.0 - known.age / self.g.neighbour_memory_s, 0.0)
-                seen.append(Seen(turned(r, -ego[6]), r[2], turned(known.v, -ego[6]), trust))
+                a = turned(known.v[:2] - known.usual, -ego[6]) / 0.3
+                seen.append(Seen(turned(r, -ego[6]), r[2], turned(known.v, -ego[6]), a, trust))
         return seen
 
     def _together(self, ego: FloatArray, seen: list[Seen]) -> tuple[FloatArray, float]:
@@ -140,10 +147,11 @@ class Flock:
             rise: float = self.command.recovery_height_m - ego[7] if ego[9] > 1.0 else 0.0
             return float(np.exp(-ego[8] / g.coast_s)) * turned(self.wish_map, -ego[6]), rise
         push = np.zeros(2)
+        velocities = [ego[3:5], *(other.v for other in seen)]
         pulls, flows = [], []
         for other in seen:
             w = other.v - ego[3:5]
-            push += other.trust * self._aside(other.r, w, other.v)
+            push += other.trust * self._aside(ego, other, (np.sum(velocities, axis=0) - other.v) / len(seen))
             r = other.r + g.lead_s * w
             d = float(np.linalg.norm(r))
             away = float(np.clip(np.minimum(w @ r, other.v @ r) / d, 0.0, None))
@@ -160,21 +168,22 @@ class Flock:
         rise = (1.0 - g.top_weight) * mean + g.top_weight * highest - g.below_m
         return cohesion + follow + push, g.height_per_s * rise
 
-    def _aside(self, r: FloatArray, w: FloatArray, v: FloatArray) -> FloatArray:
-        g = self.g
+    def _aside(self, ego: FloatArray, other: Seen, rest: FloatArray) -> FloatArray:
+        g, r = self.g, other.r
+        v = other.v + g.foresight_s * other.a
+        w = v - ego[3:5]
         if r @ w >= 0.0 or w @ w < 0.01 or g.dodge_time_s <= 0.0:
             return np.zeros(2)
         soon = -(r @ w) / (w @ w)
-        miss = r + soon * w
-        size = float(np.linalg.norm(miss))
+        size = float(np.linalg.norm(r + soon * w))
         if soon >= g.dodge_time_s or size >= g.dodge_room_m:
             return np.zeros(2)
-        side = miss / size if size > 0.05 else np.array([-w[1], w[0]]) / np.linalg.norm(w)
-        fast = min(float(np.linalg.norm(w)) / g.dodge_full_mps, 1.0) ** 2
-        comes = float(np.clip((r @ v) / (r @ w), g.dodge_caught, 1.0))
-        return (
-            -g.dodge_mps * fast * comes * (1.0 - size / g.dodge_room_m) * (1.0 - soon / g.dodge_time_s) * side
-        )
+        against = -float((v - rest) @ r) / float(np.linalg.norm(r))
+        share = float(np.clip(2.0 * against / g.dodge_full_mps - 1.0, 0.0, 1.0))
+        left = turned(w, np.pi / 2.0) / np.linalg.norm(w)
+        s = v - turned(self.wish_map, -ego[6])
+        side = left if r[0] * s[1] - r[1] * s[0] > 0.05 * np.linalg.norm(s) else -left
+        return g.dodge_mps * share * (1.0 - size / g.dodge_room_m) * (1.0 - soon / g.dodge_time_s) * side
 
     def _close_gaps(self, own: FloatArray, seen: list[Seen]) -> FloatArray:
         total = np.zeros(2)
@@ -227,7 +236,7 @@ class Flock:
         for other in seen:
             r = other.r + g.neighbour_stop_s * (other.v - ego[3:5])
             d = float(np.linalg.norm(r))
-            away = float(other.v @ r) / d
+            away = float(other.v @ r) / d + min(g.foresight_s * float(other.a @ r) / d, 0.0)
             bound = g.neighbour_per_s * (d - g.neighbour_margin_m)
             bound += away if away > 0.0 else g.neighbour_share * away
             planes.append(Plane(r / d, max(float(bound), -g.retreat_mps), r))

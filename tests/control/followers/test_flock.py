@@ -72,13 +72,43 @@ def test_it_steps_out_of_the_way_of_one_that_comes_at_it(side: float) -> None:
 
 
 def test_two_that_meet_head_on_pass_on_the_same_hand() -> None:
-    settings = with_gains(FollowerSettings(), "flock", {"dodge_mps": 2.0})
+    settings = with_gains(FollowerSettings(), "flock", {"dodge_mps": 2.0, "dodge_full_mps": 1.0})
     v = Follower("flock", settings).settle(own(v=(0.7, 0.0, 0.0)), others((2.5, 0.0, 0.0, -1.4, 0.0, 0.0)))
     w = Follower("flock", settings).settle(
         own(v=(0.7, 0.0, 0.0), yaw=np.pi), others((2.5, 0.0, 0.0, -1.4, 0.0, 0.0))
     )
     assert abs(v[1]) > 0.05
     assert w == pytest.approx(v)
+
+
+def sideways(follower: Follower, first_mps: float, per_s: float, steps: int) -> float:
+    """Return how fast it gives way at last, flying at 1 m/s behind one whose speed changes."""
+    for step in range(steps):
+        ahead = others((1.6, 0.0, 0.0, first_mps - 1.0 + 0.05 * step * per_s, 0.0, 0.0))
+        v = follower.steer(own(v=(1.0, 0.0, 0.0)), ahead)
+    return float(abs(v[1]))
+
+
+def test_it_gives_way_to_one_that_turns_back_before_that_one_comes() -> None:
+    """It still flies on at 0.1 m/s, but brakes so hard that it will soon come."""
+    unforeseen = with_gains(FollowerSettings(), "flock", {"foresight_s": 0.0})
+    assert sideways(Follower("flock"), 1.0, -1.5, 13) > 0.3
+    assert sideways(Follower("flock", unforeseen), 1.0, -1.5, 13) == 0.0
+
+
+def test_it_does_not_give_way_to_one_that_merely_flies_slower() -> None:
+    assert sideways(Follower("flock"), 0.6, 0.0, 20) == 0.0
+
+
+def test_it_keeps_to_the_side_on_which_it_began_to_give_way() -> None:
+    """Errors of the other's velocity change the side on which it seems to pass."""
+    rng = np.random.default_rng(3)
+    follower = Follower("flock")
+    sides = []
+    for _ in range(20):
+        coming = others((1.6, 0.0, 0.0, -1.5, float(rng.normal(0.0, 0.1)), 0.0))
+        sides.append(float(np.sign(follower.steer(own(), coming)[1])))
+    assert set(sides[3:]) == {sides[-1]}
 
 
 def test_it_never_flies_at_an_obstacle_faster_than_the_room_allows_unless_it_leaves_it_aside() -> None:
