@@ -45,7 +45,9 @@ def grid_of(ranges: FloatArray) -> Float32Array:
 def view_of(follower: Follower, ego: FloatArray) -> FloatArray:
     """Return rows of `best-2` from what the law remembers."""
     known = int(follower.memory[layout.FLOCK_KNOWN])
-    view = follower.memory[layout.FLOCK_VIEW :][: known * layout.FLOCK_VIEW_SIZE].reshape(known, -1)[:, :6]
+    view = follower.memory[layout.FLOCK_VIEW :][: known * layout.FLOCK_VIEW_SIZE].reshape(
+        known, layout.FLOCK_VIEW_SIZE
+    )[:, :6]
     rows = np.zeros((12, 8))
     for row, (x, y, z, vx, vy, trust) in zip(rows, view, strict=False):
         distance = np.linalg.norm([x, y, z])
