@@ -76,6 +76,7 @@ _SAME_PLACE_M = 1e-6
 _RECOVERY_AFTER_S = 1.0
 _LEAST_LINK = 0.1
 _STRAIGHT_M = 0.05
+_LEAST_SHARE = 0.5
 
 
 @portable_inlined
@@ -247,7 +248,9 @@ def _step_aside(
         return 0.0, 0.0
     distance = max(math.sqrt(x * x + y * y), _SAME_PLACE_M)
     against = -((vx - rest_x) * x + (vy - rest_y) * y) / distance
-    share = min(max(2.0 * against / parameters[FLOCK_DODGE_FULL] - 1.0, 0.0), 1.0)
+    size = min(max(against / parameters[FLOCK_DODGE_FULL], 0.0), 1.0)
+    # A little even from who comes slowly: a leader that sets out through the flock.
+    share = max(2.0 * size - 1.0, _LEAST_SHARE * size * size)
     strength = parameters[FLOCK_DODGE] * share * (1.0 - miss / room) * (1.0 - soon / longest)
     # The side is that of where we are about to fly: by the own velocity, which lags behind, errors of the
     # other's would turn us back and forth. If it comes straight at us, both pass on the same hand.

@@ -26,7 +26,7 @@ class FlockSettings(Settings):
     """Vertical speed for each metre that the wanted height is above the own."""
     top_weight: float = Field(default=0.0, ge=0.0, le=1.0)
     """The wanted height is the neighbours' mean at 0, that of the highest at 1."""
-    below_m: float = Field(default=0.0, ge=-0.5, le=0.5)
+    below_m: float = Field(default=0.03, ge=-0.5, le=0.5)
     """Flown this much under the wanted height: those lower are out of sight sooner than those higher."""
     dodge_mps: float = Field(default=4.0, ge=0.0, le=10.0)
     """Speed at which a follower steps aside from a neighbour about to hit it."""
@@ -74,7 +74,7 @@ class FlockSettings(Settings):
     """Gaps up to this are not closed."""
     dodge_full_mps: float = Field(default=2.2, gt=0.0, le=5.0)
     """A neighbour that comes slower against the motion of the others is stepped aside from less, and at half
-    of it not at all."""
+    of it hardly at all."""
     link_behind_s_per_m: float = Field(default=0.96, ge=0.0, le=5.0)
     """For each m/s at which the vehicle flies away from a neighbour, the pull towards it is so much less."""
     foresight_s: float = Field(default=0.7, ge=0.0, le=2.0)
