@@ -179,7 +179,8 @@ class Flock:
         if soon >= g.dodge_time_s or size >= g.dodge_room_m:
             return np.zeros(2)
         against = -float((v - rest) @ r) / float(np.linalg.norm(r))
-        share = float(np.clip(2.0 * against / g.dodge_full_mps - 1.0, 0.0, 1.0))
+        fast = float(np.clip(against / g.dodge_full_mps, 0.0, 1.0))
+        share = max(2.0 * fast - 1.0, 0.5 * fast**2)
         left = turned(w, np.pi / 2.0) / np.linalg.norm(w)
         s = v - turned(self.wish_map, -ego[6])
         side = left if r[0] * s[1] - r[1] * s[0] > 0.05 * np.linalg.norm(s) else -left
