@@ -12,20 +12,25 @@ DEMO := runs/demo
 export PYTHONDONTWRITEBYTECODE :=
 export NUMBA_THREADING_LAYER := omp
 
-.PHONY: demo test
+.PHONY: demo test lint kernels
 demo: $(INSTALLED)
 	$(BIN)/companion warmup
 	$(BIN)/sitl run field_configs/sitl_leader_pillars.yaml --out $(DEMO)
 	$(BIN)/companion report $(DEMO)/flight.mcap --output $(DEMO)/report.html
 
 test: $(INSTALLED)
+	$(MAKE) --jobs=2 lint kernels
+	$(BIN)/pytest -q -n 2 -m "not sockets"
+	$(BIN)/pytest -q -m sockets
+
+lint: $(INSTALLED)
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
+
+kernels: $(INSTALLED)
 	$(BIN)/companion warmup
 	$(BIN)/python -c 'from sitl.campaign.scenes import prepare; prepare()'
-	$(BIN)/pytest -q -n 2 -m "not sockets"
-	$(BIN)/pytest -q -m sockets
 
 $(INSTALLED): pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10))' || \
