@@ -1,5 +1,6 @@
 """What all tests share."""
 
+import signal
 from collections.abc import Iterator
 
 import hypothesis
@@ -32,7 +33,9 @@ hypothesis.settings.load_profile("companion")
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Forget kernels whose sources have changed, once, before any process of the tests loads one."""
+    """Heed Ctrl-C; before anything loads kernels, forget those whose sources have changed."""
+    # A shell that starts the tests in the background makes them, and what they start, deaf to Ctrl-C.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     if not hasattr(config, "workerinput"):
         forget_stale(("sitl",))
 

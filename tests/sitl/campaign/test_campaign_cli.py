@@ -8,7 +8,6 @@ import socket
 import subprocess
 import sys
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -289,9 +288,7 @@ def test_a_stopped_campaign_goes_on_to_the_same_result(
     command = [sys.executable, "-m", "sitl", "campaign", str(definition), *STOPPED, "--workers", "2"]
     # So many that it cannot end before it is stopped.
     command += ["--trials", "500", "--out", str(out)]
-    # Whoever started these tests in the background made all of them deaf to it.
-    heed = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
-    child = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, preexec_fn=heed)
+    child = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
     assert child.stderr is not None
     with child.stderr as lines:
         for line in lines:
