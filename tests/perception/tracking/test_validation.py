@@ -1,4 +1,5 @@
 import numpy as np
+import pytest
 
 from companion.perception.tracking import region_kernels
 from companion.perception.tracking.motion_filter import Agility, MotionFilter
@@ -58,32 +59,22 @@ def test_what_is_all_tape_is_a_plate() -> None:
     assert not mine.validated
 
 
-def test_a_uav_seen_edge_on_stays_proven_for_a_while() -> None:
-    mine, motion = proof()
-    for _ in range(5):
-        mine.look_around(counts(), 1.5, False)
-        mine.judge(10, 4, motion)
-    states = []
-    for _ in range(45):
-        mine.look_around(counts(), 1.5, False)
-        mine.judge(10, 0, motion)
-        states.append(mine.validated)
-    assert all(states[:20])
-    assert not states[-1]
-
-
-def test_a_uav_cut_off_by_the_field_of_view_stays_proven_for_longer_but_not_for_ever() -> None:
+@pytest.mark.parametrize(("whole", "proven"), [(True, 20), (False, 60)])
+def test_a_uav_without_tape_in_view_stays_proven_for_a_while_and_longer_if_seen_in_part(
+    whole: bool, proven: int
+) -> None:
     mine, motion = proof()
     for _ in range(5):
         mine.look_around(counts(), 1.5, False)
         mine.judge(10, 4, motion)
     states = []
     for _ in range(90):
-        mine.look_around(counts(), 0.0, False)
-        mine.judge(10, 0, motion, whole=False)
+        mine.look_around(counts(), 1.5 if whole else 0.0, False)
+        mine.judge(10, 0, motion, whole=whole)
         states.append(mine.validated)
-    assert all(states[:55])
-    assert not states[-1]
+    assert all(states[:proven])
+    # The remembered share of bright points takes a second or so to fade.
+    assert not any(states[proven + 20 :])
 
 
 def test_what_is_seen_well_and_stands_alone_needs_no_visible_foot() -> None:
