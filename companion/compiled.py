@@ -12,6 +12,7 @@ from types import FunctionType
 from typing import Any, TypeVar, cast
 
 import numba
+from numba.core import sigutils
 from numba.core.dispatcher import Dispatcher
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
@@ -86,9 +87,22 @@ def warm_up(on_kernel: Callable[[str, int, int], None] | None = None) -> int:
         if on_kernel is not None:
             on_kernel(dispatcher.py_func.__name__, index, total)
         if not dispatcher.signatures:
-            dispatcher.compile(signature)
+            _compile(dispatcher, signature)
         dispatcher.disable_compile()
     return total
+
+
+def _compile(dispatcher: Any, signature: str) -> None:
+    """Compile a kernel as its first call would: the disk cache then holds it once for both.
+
+    Raises:
+        TypeError: if it returns another type than it declares.
+    """
+    arguments, declared = sigutils.normalize_signature(signature)
+    dispatcher.compile(arguments)
+    found = dispatcher.overloads[arguments].signature.return_type
+    if found != declared:
+        raise TypeError(f"{dispatcher.py_func.__qualname__} returns {found}, declared is {declared}")
 
 
 def for_cuda(function: _Function, *, entry: bool = False) -> _Function:

@@ -106,6 +106,37 @@ print(sum(sum(kernel.stats.cache_misses.values()) for kernel in (scale, quotient
     assert run(tmp_path, script).split() == ["2", "0"]
 
 
+def test_a_first_call_loads_what_a_warm_up_compiled_and_the_other_way_round(tmp_path: Path) -> None:
+    script = """
+import os
+
+if os.environ["FIRST"] == "warm-up":
+    warm_up()
+else:
+    scale(np.ones(3), out)
+    quotient(1.0, 4.0)
+print(sum(sum(kernel.stats.cache_misses.values()) for kernel in (scale, quotient)))
+"""
+    for order in (("warm-up", "call"), ("call", "warm-up")):
+        folder = tmp_path / order[0]
+        folder.mkdir()
+        assert [run(folder, script, FIRST=first).strip() for first in order] == ["2", "0"]
+
+
+def test_a_kernel_that_returns_another_type_than_it_declares_is_refused_by_name(tmp_path: Path) -> None:
+    script = """
+@compiled("int64(float64)")
+def halved(x):
+    return 0.5 * x
+
+try:
+    warm_up()
+except TypeError as error:
+    print(error)
+"""
+    assert run(tmp_path, script) == "halved returns float64, declared is int64\n"
+
+
 def test_the_same_source_runs_on_a_card_even_if_the_processor_may_compile_no_more(tmp_path: Path) -> None:
     script = """
 from numba import cuda
