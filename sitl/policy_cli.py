@@ -1,5 +1,7 @@
 """The verbs `sitl export`, `sitl evaluate` and `sitl card`."""
 
+from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -10,6 +12,8 @@ from companion.exit_codes import ExitCode
 
 if TYPE_CHECKING:
     from sitl.abstract.policy_flight import Policy
+    from sitl.campaign.cases import PairedComparison
+    from sitl.campaign.differences import Difference
     from sitl.training.evaluation import Evaluation
     from sitl.training.settings import TrainingSettings
 
@@ -89,11 +93,14 @@ def evaluate(
         texts = [_text(row) for row in judged.rows()]
         if against is not None:
             other = judge.judge_law(against)
-            pairs = judged.against(other)
+            pairs, differences = judged.against(other), judged.differences(other)
             result |= {"against": other.rows(), "against_score": other.score}
-            result["pairs"] = [pair.as_dict() for pair in pairs]
+            result["pairs"] = [
+                pair.as_dict() | {name: asdict(number) for name, number in metrics.items()}
+                for pair, metrics in zip(pairs, differences, strict=True)
+            ]
             texts += [_text(row) for row in other.rows()]
-            texts += [f"{p.world}: {p.difference_percent:+.1f} % over {against}, p {p.p:.3f}" for p in pairs]
+            texts += [f"minus {against}:", *map(_difference_text, pairs, differences)]
         if not json_output:
             typer.echo("\n".join([*texts, f"score {judged.score:.2f}"]))
         return result, ExitCode.OK
@@ -182,6 +189,11 @@ def _there(path: Path) -> Path:
     if not path.is_file():
         raise ModelError(f"{path}: there is no such file")
     return path
+
+
+def _difference_text(pair: "PairedComparison", metrics: Mapping[str, "Difference"]) -> str:
+    numbers = "  ".join(f"{name} {each.mean:+.4f} (p {each.p:.3f})" for name, each in metrics.items())
+    return f"{pair.world:<20}  SR {pair.difference_percent:+.1f} % (p {pair.p:.3f})  {numbers}"
 
 
 def _text(row: dict[str, Any]) -> str:

@@ -11,9 +11,9 @@ from companion.command_line import AsJson, Result, conclude
 from companion.exit_codes import ExitCode
 
 if TYPE_CHECKING:
+    from sitl.training.environment import SwarmBatch
     from sitl.training.runner import Evaluate, Trained, Training
     from sitl.training.settings import TrainingSettings
-    from sitl.training.vector_environment import Batch
 
 
 def train(
@@ -185,16 +185,18 @@ def _imitate(
     from sitl.campaign.progress import ProgressLine
     from sitl.campaign.runner import Progress
     from sitl.campaign.workers import cores
-    from sitl.training.imitation import Imitation
+    from sitl.training.clear_sight import ClearSight
+    from sitl.training.imitation import Imitation, Swarms
     from sitl.training.torch_threads import calm_threads
 
     threads = workers or cores()
     calm_threads()
     plan = settings.imitation if rounds is None else settings.imitation.model_copy(update={"rounds": rounds})
     settings = settings.model_copy(update={"imitation": plan})
-    imitation = Imitation(
-        settings, _batch(settings, "cpu", threads), folder, evaluate=_evaluation(settings, threads)
-    )
+    batch: Swarms = _batch(settings, "cpu", threads)
+    if plan.sight == "clear":
+        batch = ClearSight(batch, cohesion=plan.cohesion, trust=plan.trust)
+    imitation = Imitation(settings, batch, folder, evaluate=_evaluation(settings, threads))
     line = ProgressLine(f"{settings.title}, imitation", "rounds")
 
     def show(number: int, row: Mapping[str, float]) -> None:
@@ -223,7 +225,7 @@ def _imitate(
     }
 
 
-def _batch(settings: "TrainingSettings", device: str, workers: int) -> "Batch":
+def _batch(settings: "TrainingSettings", device: str, workers: int) -> "SwarmBatch":
     """Build the swarms, and say how far their scenes are."""
     from sitl.campaign.progress import ProgressLine
     from sitl.campaign.runner import Progress

@@ -80,8 +80,8 @@ class CudaSwarmBatch(SwarmBatch):
         numba.config.CUDA_LOW_OCCUPANCY_WARNINGS = 0
         super().__init__(settings, contract, seed, 1, bank=bank, on_scene=on_scene)
         self._run = launches()
-        self._card = [_OnCard(cohort) for cohort in self._cohorts]
-        self._card_bank, self._card_rays = _sent(self._bank), _sent(self._rays)
+        self._card = [_OnCard(cohort) for cohort in self.cohorts]
+        self._card_bank, self._card_rays = _sent(self.sites), _sent(self.rays)
         self._card_law, self._card_numbers, self._card_weights = _sent(
             (self._law, self._numbers, self._weights)
         )
@@ -105,14 +105,14 @@ class CudaSwarmBatch(SwarmBatch):
         if tuple(velocity.shape) != (self.streams, 3):
             raise ValueError(f"velocity is {tuple(velocity.shape)}, expected {(self.streams, 3)}")
         self._show(is_shown)
-        self._fly(velocity, [0] * len(self._cohorts))
+        self._fly(velocity, [0] * len(self.cohorts))
         self._result.finished.clear()
         self._result.finished.extend(self._end_and_begin())
         return self._result
 
     def state(self) -> State:
         """Return everything it needs to go on exactly as it would have, in arrays of the processor."""
-        for cohort, card in zip(self._cohorts, self._card, strict=True):
+        for cohort, card in zip(self.cohorts, self._card, strict=True):
             for group, sent in zip(_groups(cohort), card.groups, strict=True):
                 _fetch(sent, group)
         _fetch(self._card_shown, self._shown)
@@ -121,7 +121,7 @@ class CudaSwarmBatch(SwarmBatch):
     def restore(self, state: State) -> Observation:
         """Go on from what `state` of an equal batch returned, on a card or not."""
         super().restore(state)
-        for cohort, card in zip(self._cohorts, self._card, strict=True):
+        for cohort, card in zip(self.cohorts, self._card, strict=True):
             for group, sent in zip(_groups(cohort), card.groups, strict=True):
                 _send(group, sent)
         _send(self._shown, self._card_shown)
@@ -131,7 +131,7 @@ class CudaSwarmBatch(SwarmBatch):
         super()._fly(_on_card(velocity), firsts)
 
     def _fly_piece(self, velocity: Any, index: int, first: int, last: int) -> None:
-        card, run, n = self._card[index], self._run, self._cohorts[index].vehicles
+        card, run, n = self._card[index], self._run, self.cohorts[index].vehicles
         which, count = card.which[first:last], last - first
         run.fly(
             count * n, which, self._number, velocity, self._card_bank, self._card_law, card.swarm,
@@ -152,7 +152,7 @@ class CudaSwarmBatch(SwarmBatch):
         )  # fmt: skip
 
     def _end_and_begin(self) -> list[EpisodeSummary]:
-        for cohort, card in zip(self._cohorts, self._card, strict=True):
+        for cohort, card in zip(self.cohorts, self._card, strict=True):
             card.swarm[1].copy_to_host(cohort.places)
             ended = np.flatnonzero(cohort.places[:, at.END] != FLYING)
             if len(ended) == 0:
@@ -166,7 +166,7 @@ class CudaSwarmBatch(SwarmBatch):
         return super()._end_and_begin()
 
     def _show_first(self, index: int, which: NDArray[np.int64]) -> None:
-        cohort, card, n = self._cohorts[index], self._card[index], self._cohorts[index].vehicles
+        cohort, card, n = self.cohorts[index], self._card[index], self.cohorts[index].vehicles
         numbers = cuda.to_device(which)
         # What follows in the group of the swarm is found out on the card.
         begun = (*cohort.swarm[:6], *cohort.motion, *cohort.views, *cohort.acts[3:], cohort.snapshots[0])

@@ -3,6 +3,7 @@
 import copy
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -53,6 +54,9 @@ class SwarmBatch:
         bank: the scenes.
         swarm_of: (K,) number of the swarm of each stream.
         observation: the newest.
+        cohorts: the swarms, by size.
+        sites: obstacles and leaders' flights of all scenes, as the kernels read them.
+        rays: tables of the grid, likewise.
     """
 
     def __init__(
@@ -89,16 +93,16 @@ class SwarmBatch:
         self.swarm_of: NDArray[np.int64] = np.repeat(np.arange(len(sizes)), sizes)
         self.observation = Observation.room(contract, self.streams)
         self._result = StepResult.room(self.observation, self.streams)
-        self._cohorts: list[Cohort] = []
+        self.cohorts: list[Cohort] = []
         for followers in sorted(set(sizes), reverse=True):
             numbers = np.flatnonzero(np.array(sizes) == followers).astype(np.int64)
-            self._cohorts.append(
+            self.cohorts.append(
                 Cohort.room(
                     settings, followers + 1, numbers, first_streams[numbers], self.bank.most_primitives
                 )
             )
-        self._scenes = [self.bank.for_swarm(cohort.vehicles) for cohort in self._cohorts]
-        self._crashes = [CrashReplay(settings.replay) for _ in self._cohorts]
+        self._scenes = [self.bank.for_swarm(cohort.vehicles) for cohort in self.cohorts]
+        self._crashes = [CrashReplay(settings.replay) for _ in self.cohorts]
         self._scene_of = np.zeros(len(sizes), np.int64)
         self._replayed = np.zeros(len(sizes), np.bool_)
         self._begun_at = np.zeros(len(sizes), np.int64)
@@ -108,8 +112,8 @@ class SwarmBatch:
         self._weights = settings.reward.weights
         self._seed = seed
         self._rng = np.random.default_rng(SeedSequence(seed))
-        self._bank = (self.bank.kinds, self.bank.rows, self.bank.discs, self.bank.flights)
-        self._rays = grid_tables(settings)
+        self.sites = (self.bank.kinds, self.bank.rows, self.bank.discs, self.bank.flights)
+        self.rays = grid_tables(settings)
         seen = self.observation
         self._shown = (
             seen.ego, seen.neighbours, seen.grid, seen.memory, seen.privileged, seen.reference,
@@ -130,8 +134,8 @@ class SwarmBatch:
             update: not negative; another number gives other trials.
         """
         self._rng = np.random.default_rng(SeedSequence((self._seed, update)))
-        self._crashes = [CrashReplay(self.settings.replay) for _ in self._cohorts]
-        for index, cohort in enumerate(self._cohorts):
+        self._crashes = [CrashReplay(self.settings.replay) for _ in self.cohorts]
+        for index, cohort in enumerate(self.cohorts):
             self._begin(index, np.arange(len(cohort)))
         self._showing = at.SHOW_CHANGES
         self._stagger()
@@ -151,7 +155,7 @@ class SwarmBatch:
         if velocity.shape != (self.streams, 3):
             raise ValueError(f"velocity is {velocity.shape}, expected {(self.streams, 3)}")
         self._show(is_shown)
-        self._fly(np.ascontiguousarray(velocity, np.float32), [0] * len(self._cohorts))
+        self._fly(np.ascontiguousarray(velocity, np.float32), [0] * len(self.cohorts))
         self._result.finished.clear()
         self._result.finished.extend(self._end_and_begin())
         return self._result
@@ -160,7 +164,7 @@ class SwarmBatch:
         """Return everything it needs to go on exactly as it would have; tens of megabytes."""
         return {
             "cohorts": [
-                [[array.copy() for array in group] for group in _groups(cohort)] for cohort in self._cohorts
+                [[array.copy() for array in group] for group in _groups(cohort)] for cohort in self.cohorts
             ],
             "crashes": [crashes.state() for crashes in self._crashes],
             "scene_of": self._scene_of.copy(),
@@ -172,7 +176,7 @@ class SwarmBatch:
 
     def restore(self, state: State) -> Observation:
         """Go on from what `state` of an equal batch returned."""
-        for cohort, groups in zip(self._cohorts, state["cohorts"], strict=True):
+        for cohort, groups in zip(self.cohorts, state["cohorts"], strict=True):
             for group, stored in zip(_groups(cohort), groups, strict=True):
                 for array, kept in zip(group, stored, strict=True):
                     array[...] = kept
@@ -203,10 +207,15 @@ class SwarmBatch:
         else:
             self._showing = at.SHOW_ALL if self._showing == at.SHOW_NOTHING else at.SHOW_CHANGES
 
-    def _fly(self, velocity: Float32Array, firsts: list[int]) -> None:
-        """Fly on in every cohort the swarms from a number on."""
+    def in_pieces(self, work: Callable[[int, int, int], None], firsts: list[int]) -> None:
+        """Do work for all swarms, side by side on all threads.
+
+        Args:
+            work: takes the numbers of a cohort, of the first swarm, and one more than that of the last.
+            firsts: number of the first swarm in each cohort.
+        """
         pieces = []
-        for index, cohort in enumerate(self._cohorts):
+        for index, cohort in enumerate(self.cohorts):
             first, last = firsts[index], len(cohort)
             if self._pool is None:
                 pieces.append((index, first, last))
@@ -214,18 +223,22 @@ class SwarmBatch:
             number = self._workers * _PIECES_PER_WORKER
             edges = [first + (last - first) * k // number for k in range(number + 1)]
             pieces.extend((index, low, high) for low, high in pairwise(edges))
-        tasks = [(velocity, *piece) for piece in pieces if piece[1] < piece[2]]
+        tasks = [piece for piece in pieces if piece[1] < piece[2]]
         if self._pool is None:
             for task in tasks:
-                self._fly_piece(*task)
+                work(*task)
             return
-        for _ in self._pool.map(lambda task: self._fly_piece(*task), tasks):
+        for _ in self._pool.map(lambda task: work(*task), tasks):
             pass
 
+    def _fly(self, velocity: Float32Array, firsts: list[int]) -> None:
+        """Fly on in every cohort the swarms from a number on."""
+        self.in_pieces(partial(self._fly_piece, velocity), firsts)
+
     def _fly_piece(self, velocity: Float32Array, index: int, first: int, last: int) -> None:
-        cohort = self._cohorts[index]
+        cohort = self.cohorts[index]
         step_swarms(
-            first, last, self._number, self._showing, velocity, self._bank, self._rays, self._law,
+            first, last, self._number, self._showing, velocity, self.sites, self.rays, self._law,
             self._numbers, self._weights, cohort.swarm, cohort.motion, cohort.views, cohort.acts, self._shown,
             self._paid, cohort.snapshots,
         )  # fmt: skip
@@ -234,14 +247,14 @@ class SwarmBatch:
         """Let the law fly the swarms for different times, evenly spread in every cohort."""
         longest = int(self.settings.stagger_s / CONTROL_STEP_S)
         for done in range(longest):
-            firsts = [-(-len(cohort) * (done + 1) // (longest + 1)) for cohort in self._cohorts]
+            firsts = [-(-len(cohort) * (done + 1) // (longest + 1)) for cohort in self.cohorts]
             self._fly(np.array(self.observation.reference), firsts)
             self._end_and_begin()
 
     def _end_and_begin(self) -> list[EpisodeSummary]:
         """Sum up the trials that are over, and begin others in their place."""
         summaries = []
-        for index, cohort in enumerate(self._cohorts):
+        for index, cohort in enumerate(self.cohorts):
             ended = np.flatnonzero(cohort.places[:, at.END] != FLYING)
             if len(ended) == 0:
                 continue
@@ -256,7 +269,7 @@ class SwarmBatch:
 
     def _begin(self, index: int, which: NDArray[np.int64]) -> None:
         """Begin new trials with some swarms of a cohort, and show what they see."""
-        cohort, rng = self._cohorts[index], self._rng
+        cohort, rng = self.cohorts[index], self._rng
         longest = round(self.settings.episode_s / CONTROL_STEP_S)
         for s in which:
             number = cohort.numbers[s]
@@ -281,9 +294,9 @@ class SwarmBatch:
 
     def _show_first(self, index: int, which: NDArray[np.int64]) -> None:
         """Let swarms of a cohort perceive whose state has just been set."""
-        cohort = self._cohorts[index]
+        cohort = self.cohorts[index]
         begin_swarms(
-            which, self._number, self._bank, self._rays, self._law, cohort.swarm, cohort.motion,
+            which, self._number, self.sites, self.rays, self._law, cohort.swarm, cohort.motion,
             cohort.views, cohort.acts, self._shown, cohort.snapshots,
         )  # fmt: skip
 

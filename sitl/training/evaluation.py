@@ -21,7 +21,8 @@ from sitl.abstract.flight import fly_abstract
 from sitl.abstract.policy_flight import POLICY, Policy, PolicyStep
 from sitl.abstract.settings import AbstractSettings, Preset
 from sitl.abstract.trial import AbstractTrial, leader_course
-from sitl.campaign.cases import CaseSummary, PairedComparison, compare_methods, summarise_case
+from sitl.campaign.cases import CaseKey, CaseSummary, PairedComparison, compare_methods, summarise_case
+from sitl.campaign.differences import Difference, metric_difference
 from sitl.campaign.tasks import trial_seed
 from sitl.swarm.record import TrialRecord
 from sitl.swarm.scene import SwarmScene, set_scene
@@ -105,6 +106,14 @@ class Evaluated:
     def rows(self) -> list[dict[str, Any]]:
         """Return a row for every case, with plain values."""
         return [case.as_dict() for case in self.cases]
+
+    def differences(self, other: "Evaluated") -> list[dict[str, Difference]]:
+        """Return FR, MS and AL minus another method's on the same scenes, case by case."""
+        both = (*self.records, *other.records)
+        return [
+            {name: metric_difference(both, _key(ours), _key(theirs), name) for name in ("FR", "MS", "AL")}
+            for ours, theirs in zip(self.cases, other.cases, strict=True)
+        ]
 
     def against(self, other: "Evaluated") -> list[PairedComparison]:
         """Compare with another method on the same scenes, case by case."""
@@ -239,6 +248,10 @@ def _scene(case: EvaluationCase, trial: int) -> tuple[SwarmScene, Course]:
     seed = trial_seed(_SEED, f"{case.site} {case.behaviour}", case.followers, trial, held_out=False)
     scene = case.scene(seed)
     return scene, leader_course(scene)
+
+
+def _key(case: CaseSummary) -> CaseKey:
+    return case.world, case.method, case.followers, case.fidelity
 
 
 def _score(case: CaseSummary) -> float:

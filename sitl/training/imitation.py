@@ -134,10 +134,10 @@ class Imitation:
         Raises:
             ProfileError: if the folder holds an imitation already, or the network is flock from the start.
         """
-        if settings.network.action == "residual":
+        if settings.network.action == "residual" and settings.imitation.sight == "own":
             raise ProfileError(
-                "network.action: found residual, allowed direct: a network that adds to flock's command "
-                "flies like flock before it has learned anything"
+                "network.action: found residual, allowed direct, or imitation.sight clear: a network that "
+                "adds to flock's command flies like flock before it has learned anything"
             )
         if (out / IMITATED).exists():
             raise ProfileError(f"{out}: holds an imitation already; name another folder")

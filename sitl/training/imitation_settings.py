@@ -1,5 +1,7 @@
 """How a network learns a law by watching it fly."""
 
+from typing import Literal
+
 from pydantic import Field
 
 from companion.settings import Settings
@@ -12,6 +14,14 @@ class ImitationSettings(Settings):
     learning (DAgger), 2011.
     """
 
+    sight: Literal["own", "clear"] = "own"
+    """What the law sees whose commands are learned: `own`, as the follower sees it; `clear`, what is in sight
+    as it is, without noise, delay or misses."""
+    cohesion: float = Field(default=1.0, ge=0.0, le=10.0)
+    """With `clear` sight: the learned law's cohesion, as a multiple of the follower's own."""
+    trust: float = Field(default=1.0, gt=0.0, le=1.0)
+    """With `clear` sight: share of the difference to what the follower's own law wants that is learned: the
+    whole of it draws the flock together, too."""
     rounds: int = Field(default=60, ge=1, le=100_000)
     """Of flying and learning."""
     steps: int = Field(default=64, ge=1, le=1024)

@@ -24,6 +24,7 @@ _CURVE = {
     "update": "Update",
     "samples": "Samples",
     "wall_s": "Time (s)",
+    "error_mps": "From the teacher (m/s)",
     "reward": "Reward",
     "episode_SR": "SR in training (%)",
     "evaluation_score": "Score",
@@ -137,8 +138,9 @@ def _training_text(folder: Path) -> str:
 def _curve_table(path: Path) -> Table:
     rows = _curve_rows(path)
     wanted = {name: title for name, title in _CURVE.items() if any(row.get(name) for row in rows)}
-    # Rows with an evaluation say most; without any, evenly spread ones.
-    judged = [row for row in rows if row.get("evaluation_score")] or rows
+    # Rows with an evaluation say most; where there is one at the end alone, evenly spread ones.
+    judged = [row for row in rows if row.get("evaluation_score")]
+    judged = judged if len(judged) > 1 else rows
     count = min(_CURVE_ROWS, len(judged))
     chosen = [judged[round(k * (len(judged) - 1) / max(count - 1, 1))] for k in range(count)]
     lines = tuple(Row(tuple(row.get(name) or "-" for name in wanted)) for row in chosen)

@@ -89,7 +89,8 @@ def reward_terms(
     mean_speed = math.sqrt(mx * mx + my * my + mz * mz)
     terms[place.ALIGNMENT] = 0.0
     if speed >= _STILL_MPS and mean_speed >= _STILL_MPS * n:
-        terms[place.ALIGNMENT] = (vx * mx + vy * my + vz * mz) / (speed * mean_speed)
+        # Below zero, so that nobody is paid for moving: whoever rests is out of AL, too.
+        terms[place.ALIGNMENT] = (vx * mx + vy * my + vz * mz) / (speed * mean_speed) - 1.0
 
 
 @portable_inlined

@@ -45,7 +45,7 @@ class RewardSettings(Settings):
     leash: float = Field(default=0.0, ge=0.0, le=1000.0)
     """Weight of the distance beyond `leash_m` from the leader."""
     alignment: float = Field(default=0.0, ge=0.0, le=1000.0)
-    """Weight of the cosine between the own velocity and the flock's."""
+    """Weight of how far the cosine between the own velocity and the flock's is below 1, while both move."""
 
     separation_m: float = Field(default=1.6, gt=0.0, le=10.0)
     """Others nearer than this cost."""

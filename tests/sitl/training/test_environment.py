@@ -26,7 +26,7 @@ _COLLISION, _LOSS = TERMS.index("collision"), TERMS.index("loss")
 
 
 def _only(batch: SwarmBatch) -> Cohort:
-    (cohort,) = batch._cohorts
+    (cohort,) = batch.cohorts
     return cohort
 
 
@@ -54,7 +54,7 @@ def test_a_swarm_flown_by_its_law_flies_as_a_trial_does(index: int) -> None:
     cohort.set_rules(0, scene, batch._conditions.draw(scene.perception, batch._rng), scene.seed, 100_000)
     cohort.start(0, scene, bank.flights[scene.flight[0]], settings, batch._rng)
     begin_swarms(
-        np.zeros(1, np.int64), batch._number, batch._bank, batch._rays, batch._law, cohort.swarm,
+        np.zeros(1, np.int64), batch._number, batch.sites, batch.rays, batch._law, cohort.swarm,
         cohort.motion, cohort.views, cohort.acts, batch._shown, cohort.snapshots,
     )  # fmt: skip
     state = cohort.motion[3][0]
@@ -272,7 +272,7 @@ def test_a_crash_is_flown_again_from_some_time_before() -> None:
 def test_swarms_are_at_different_points_of_their_trials_after_a_staggered_reset() -> None:
     batch = mixed_batch(1, 1, stagger_s=2.0, swarms=8)
     batch.reset()
-    steps = np.concatenate([cohort.places[:, at.STEP] for cohort in batch._cohorts])
+    steps = np.concatenate([cohort.places[:, at.STEP] for cohort in batch.cohorts])
     assert len(set(steps.tolist())) >= 4
     assert steps.max() <= 40
 

@@ -29,6 +29,9 @@ def test_flock_as_a_network_is_judged_like_flock(evaluation: Evaluation) -> None
         ("near_2", POLICY, "flock", 2),
         ("near_4", POLICY, "flock", 2),
     ]
+    for case, ours, theirs in zip(network.differences(law), network.cases, law.cases, strict=True):
+        assert {name: each.pairs for name, each in case.items()} == {"FR": 2, "MS": 2, "AL": 2}
+        assert case["FR"].mean == pytest.approx(ours.metric("FR").mean - theirs.metric("FR").mean)
 
 
 def test_scenes_are_never_those_held_out_nor_those_of_training(flown: Evaluated) -> None:

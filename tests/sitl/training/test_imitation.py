@@ -7,6 +7,7 @@ import pytest
 from companion.control.observation import CONTRACTS
 from companion.errors import ProfileError
 from sitl.training.checkpoints import parameters_sha256
+from sitl.training.clear_sight import ClearSight
 from sitl.training.environment_results import Observation
 from sitl.training.imitation import IMITATED, Imitated, Imitation, Seen
 from sitl.training.imitation_settings import ImitationSettings
@@ -55,6 +56,17 @@ def test_a_network_that_adds_to_flock_s_command_has_nothing_to_learn(tmp_path: P
     with pytest.raises(ProfileError, match=r"network\.action: found residual, allowed direct"):
         Imitation(TrainingSettings(environment=OPEN, network=SMALL), open_batch(), tmp_path / "none")
     assert not (tmp_path / "none").exists()
+
+
+def test_a_network_that_adds_to_flock_s_command_learns_from_one_who_sees_all_as_it_is(tmp_path: Path) -> None:
+    plan = PLAN.model_copy(update={"sight": "clear", "rounds": 6})
+    settings = TrainingSettings(environment=OPEN, network=SMALL, imitation=plan)
+    imitation = Imitation(settings, ClearSight(open_batch(), cohesion=3.0), tmp_path)
+    imitation.run()
+    imitation.close()
+    with (tmp_path / "curve.csv").open(newline="") as file:
+        errors = [float(row["error_mps"]) for row in csv.DictReader(file)]
+    assert errors[-1] < 0.5 * errors[0]
 
 
 def test_an_imitation_is_not_overwritten(tmp_path: Path) -> None:

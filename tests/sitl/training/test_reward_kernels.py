@@ -128,9 +128,11 @@ def test_recovery_costs_height_only_where_nobody_is_perceived() -> None:
     assert _terms(states, perceived=1)["recovery"] == 0.0
 
 
-def test_alignment_is_the_cosine_to_the_flocks_velocity() -> None:
+def test_alignment_is_what_the_cosine_to_the_flocks_velocity_lacks_while_both_move() -> None:
     states = [_state(2, 0, 1, (1.0, 0.0, 0.0)), _state(0, 0, 1, (0.0, 1.0, 0.0))]
-    assert _terms(states)["alignment"] == pytest.approx(math.sqrt(0.5))
+    assert _terms(states)["alignment"] == pytest.approx(math.sqrt(0.5) - 1.0)
+    together = [_state(2, 0, 1, (1.0, 0.0, 0.0)), _state(0, 0, 1, (1.0, 0.0, 0.0))]
+    assert _terms(together)["alignment"] == pytest.approx(0.0)
     assert _terms([_state(2, 0, 1), _state(0, 0, 1)])["alignment"] == 0.0
 
 
