@@ -1,7 +1,6 @@
 """The verbs `sitl export`, `sitl evaluate` and `sitl card`."""
 
 from collections.abc import Mapping
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -96,7 +95,7 @@ def evaluate(
             pairs, differences = judged.against(other), judged.differences(other)
             result |= {"against": other.rows(), "against_score": other.score}
             result["pairs"] = [
-                pair.as_dict() | {name: asdict(number) for name, number in metrics.items()}
+                pair.as_dict() | {name: number.as_dict() for name, number in metrics.items()}
                 for pair, metrics in zip(pairs, differences, strict=True)
             ]
             texts += [_text(row) for row in other.rows()]

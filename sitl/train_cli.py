@@ -40,7 +40,9 @@ def train(
     ] = None,
     imitate: Annotated[
         bool,
-        typer.Option("--imitate", help="Learn to fly like flock instead; `start` can name what comes of it."),
+        typer.Option(
+            "--imitate", help="Learn from flock, not from rewards; `start` can name what comes of it."
+        ),
     ] = False,
     json_output: AsJson = False,
 ) -> None:
@@ -193,9 +195,10 @@ def _imitate(
     calm_threads()
     plan = settings.imitation if rounds is None else settings.imitation.model_copy(update={"rounds": rounds})
     settings = settings.model_copy(update={"imitation": plan})
-    batch: Swarms = _batch(settings, "cpu", threads)
+    swarms = _batch(settings, "cpu", threads)
+    batch: Swarms = swarms
     if plan.sight == "clear":
-        batch = ClearSight(batch, cohesion=plan.cohesion, trust=plan.trust)
+        batch = ClearSight(swarms, cohesion=plan.cohesion, trust=plan.trust)
     imitation = Imitation(settings, batch, folder, evaluate=_evaluation(settings, threads))
     line = ProgressLine(f"{settings.title}, imitation", "rounds")
 

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 from scipy import stats
@@ -24,6 +24,11 @@ class Difference:
     mean: float
     p: float
     pairs: int
+
+    def as_dict(self) -> dict[str, float | None]:
+        """Return plain values for JSON, None for what is not a number."""
+        values = asdict(self)
+        return {name: value if math.isfinite(value) else None for name, value in values.items()}
 
 
 def metric_difference(

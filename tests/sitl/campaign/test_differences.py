@@ -26,6 +26,7 @@ def test_other_scenes_of_the_same_number_are_no_pair() -> None:
     records = [trial(0, method="policy", scene="a"), trial(0, scene="b")]
     found = metric_difference(records, OURS, LAW, "FR")
     assert (found.pairs, math.isnan(found.mean), math.isnan(found.p)) == (0, True, True)
+    assert found.as_dict() == {"mean": None, "p": None, "pairs": 0}
 
 
 def test_what_never_differs_is_no_difference() -> None:
